@@ -65,7 +65,7 @@ class Fit(SolverResult):
     def at_noise_of(self, problem: Problem) -> Fit:
         """Return the fit with its problem at other noise: to first order it needs no new search."""
         system, last = replace(self.system, problem=problem), replace(self.last, problem=problem)
-        scale = self.scale if system.loss is None else system.scale(last)
+        scale = self.scale if system.loss is None else system.scale(last.squares)
         return replace(self, system=system, last=last, scale=scale)
 
     @property

@@ -60,7 +60,7 @@ def _under_loss(system: System, loss: Loss, begin: Linear, *, near: bool) -> tup
         linear, scale, first = coarse.last, coarse.scale, coarse.first
     else:
         linear, _ = solve_poses(begin)
-        _, scale = replace(system, loss=loss).weights(linear)
+        _, scale = replace(system, loss=loss).weights(linear.squares)
     # Rows whose pose was not found, or that move the machine by a good part of its size, have no
     # derivatives that say anything, and no loss bounds what they weigh.
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]

@@ -83,7 +83,7 @@ class Iterate:
     def of(cls, system: System, linear: Linear) -> Iterate:
         """Return the iterate of a system at conditions."""
         judged = adjusted(linear) if system.adjusted else linear
-        weights, scale = system.weights(linear)
+        weights, scale = system.weights(linear.squares)
         cost = system.cost(judged, weights)
         return cls(linear, judged, weights, scale, cost, system.solve(judged, weights, scale))
 

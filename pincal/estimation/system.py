@@ -158,19 +158,19 @@ class System:
         """Return the system with other standard deviations of nominal values, shape (n,)."""
         return replace(self, unknowns=replace(self.unknowns, priors=priors))
 
-    def weights(self, linear: Linear) -> tuple[Array, float]:
-        """Return the weight of each row, shape (N,), and the scale of the noise."""
+    def weights(self, squares: Array) -> tuple[Array, float]:
+        """Return the weight of each row, by its χ², shape (N,), and the scale of the noise."""
         weights = self.kept.astype(float)
         if self.loss is None:
             return weights, 1.0
-        scale = self.held_scale or max(self.scale(linear), 1.0 if self.known else 1e-300)
-        return weights * self.loss.weights(linear.squares / scale**2, linear.equations), scale
+        scale = self.held_scale or max(self.scale(squares), 1.0 if self.known else 1e-300)
+        return weights * self.loss.weights(squares / scale**2, self.problem.equations), scale
 
-    def scale(self, linear: Linear) -> float:
-        """Return the scale of the noise by the rows in the middle."""
-        equations = linear.equations[self.kept]
+    def scale(self, squares: Array) -> float:
+        """Return the scale of the noise by the χ² of the rows in the middle."""
+        equations = self.problem.equations[self.kept]
         share = 1.0 - self.unknowns.n_free / max(int(equations.sum()), 1)
-        return robust_scale(linear.squares[self.kept], equations, max(share, 0.1))
+        return robust_scale(squares[self.kept], equations, max(share, 0.1))
 
     def triangle(self, linear: Linear, weights: Array, bend: Array | None = None) -> Array:
         """Return R of the Jacobian in the free unknowns beside the residuals, with priors.
@@ -199,7 +199,7 @@ class System:
         self, linear: Linear, weights: Array | None = None, frame: Linear | None = None
     ) -> float:
         """Return what is minimised, in own weights and rows if not in those of another state."""
-        weights = self.weights(linear)[0] if weights is None else weights
+        weights = self.weights(linear.squares)[0] if weights is None else weights
         value = (frame or linear).whitened(linear.conditions)
         prior, _ = self.unknowns.prior_rows(self.problem.values(linear.state))
         return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)

@@ -26,7 +26,7 @@ from pincal.estimation.system import LOSSES, NormalEquations, System
 from pincal.estimation.unknowns import BlockRows, External, State, unknowns
 from pincal.kinematics.batches import parted
 from pincal.kinematics.closing import home_mode, mode_sign
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import inverse
 from pincal.kinematics.forward import forward
 from pincal.kinematics.singularity import margins
@@ -313,7 +313,7 @@ def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> J
             by_reading = closed.by_measured[served, of_leg, block.reading_columns[i]]
             moved = np.linalg.norm(by_reading * deviations, axis=(1, 2))
             joints, T = closed.joints[i][served], matrices[rows[served]]
-            closure = LegClosure(leg, platform).evaluate(joints, T)
+            closure = nominal_legs(mechanism)[i].evaluate(joints, T)
             bent[i] = (mode_sign(closure) * home_mode(leg, platform) < 0.0).sum()
             gap[i] = np.median(_missed(closed.value[served, of_leg])) / leg.size
             stroke[i] = np.median(moved) / leg.size
@@ -337,7 +337,7 @@ def _nearest(
     rows, of_leg = block.data_rows[served], block.leg_rows[place]
     roots, observation = calibration.noise.poses.roots[rows], calibration.observation.at(rows)
     problem = Problem(calibration.leg_block([place], rows, None, roots), observation)
-    nominal = best = Linear(
+    nominal = Linear(
         problem,
         State(leg.nominal, matrices[rows]),
         closed.value[served, of_leg],
@@ -347,14 +347,14 @@ def _nearest(
     )
     differ, left = changes_of(leg, leg.size), np.full(len(matrices), np.nan)
     free = replace(unknowns([leg]), priors=differ)
-    every = np.ones(len(rows), dtype=bool)
+    every, conditions = np.ones(len(rows), dtype=bool), nominal.conditions
     system = System(problem, free, every, known=True, loss=LOSSES["huber"])
     with np.errstate(all="ignore"):
         for _ in range(_STEPS):
-            weights, scale = system.weights(best)
+            weights, scale = system.weights((nominal.whitened(conditions) ** 2).sum(axis=1))
             scaled = system.with_priors(differ / scale)
             step = NormalEquations.of(scaled.triangle(nominal, weights)).step()
             step /= max(1.0, float(np.abs(step / differ).max(initial=0.0)))
-            best = replace(nominal, conditions=nominal.after(step))
-        left[rows] = _missed(best.conditions) / leg.size
+            conditions = nominal.after(step)
+        left[rows] = _missed(conditions) / leg.size
     return left

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import fdtrc, ndtr
 
 from pincal.estimation.fit import Fit
@@ -251,9 +252,6 @@ class Residuals:
         return chances
 
 
-_HALVINGS = int(np.ceil(-np.log2(ROUNDING)))  # of the interval in which a saddle point lies
-
-
 def above(weights: Array, share: float, degrees_of_freedom: int) -> float:
     """Return the probability that a weighted sum of squares is above a share of all squares.
 
@@ -268,11 +266,11 @@ def above(weights: Array, share: float, degrees_of_freedom: int) -> float:
     c = np.append(weights - t, -t)
     count = np.append(np.ones(len(weights)), degrees_of_freedom - len(weights))
     low, high = -0.5 / t, 0.5 / (1.0 - t)
-    for _ in range(_HALVINGS):
-        saddle = 0.5 * (low + high)
-        rising = (count * c / (1.0 - 2.0 * saddle * c)).sum() > 0.0
-        low, high = (low, saddle) if rising else (saddle, high)
-    saddle = 0.5 * (low + high)
+
+    def rise(s: float) -> float:  # of K, times what is zero where it has no end
+        return float((count * c / (1.0 - 2.0 * s * c)).sum()) * (s - low) * (high - s)
+
+    saddle = float(brentq(rise, (1.0 - ROUNDING) * low, (1.0 - ROUNDING) * high))
     factors = 1.0 - 2.0 * saddle * c
     K = -0.5 * float(count @ np.log(factors))
     w = float(np.sign(saddle)) * np.sqrt(max(-2.0 * K, 0.0))
