@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import loaded
 from command_line import run
 from numpy.typing import NDArray
 from scipy.linalg import null_space
@@ -107,6 +108,19 @@ def test_few_poses_are_predicted_better() -> None:
             errors.append(np.nanmean(np.linalg.norm((reached - goals)[:, :2], axis=1)))
     free, found = np.reshape(errors, (3, 2)).mean(axis=0)
     assert found < 0.7 * free
+
+
+@pytest.mark.slow
+def test_sizes_are_found_where_noise_is_larger_than_assumed() -> None:
+    """An arm of 4 mm and 4 mrad, seen within 3 mm: sizes settle, each in its interval."""
+    arm = loaded("ur5")
+    plan, truth = pincal.sample_configurations(arm, 30, seed=0), pincal.disturb(arm, 4e-3, seed=0)
+    data = pincal.simulate(arm, truth, plan, pincal.Noise(3e-3, 3e-3, 1e-5), seed=0).measurements
+    poses = np.where(np.arange(6) < 3, data.poses, np.nan)
+    setup = pincal.Setup(True, {"platform": pincal.Target(unknown=True)})
+    result = pincal.calibrate(arm, replace(data, poses=poses), setup=setup, tolerance="auto")
+    for tolerance in result.calibration.tolerances:
+        assert tolerance.low < 4e-3 < tolerance.high
 
 
 def test_units_of_too_few_parameters_are_free() -> None:

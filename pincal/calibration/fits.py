@@ -367,21 +367,21 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
     sought = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two say nothing
     groups = {id_: place for place, unit in enumerate(sought) for id_ in units[unit]}
     size = calibration.mechanism.size
-    farthest = np.array([DIFFER * (size if unit == "m" else 1.0) for unit in sought])
+    sizes = farthest = np.array([DIFFER * (size if unit == "m" else 1.0) for unit in sought])
     estimates = dict.fromkeys(units, (np.inf, 0.0, np.inf))  # size, ends of its interval
-    sizes = farthest
     for _ in range(ROUNDS if sought else 0):
         known = dict(zip(sought, sizes.tolist(), strict=True))
         calibration = calibration.with_options(tolerance=known)
         calibration.options.report("finding how far the machine is from its drawing")
         try:
-            parts = [Evidence.of(fit, groups) for fit in fitted(calibration).fits]
+            fits = fitted(calibration)
         except np.linalg.LinAlgError as error:
             raise ObservabilityError(
-                "these rows do not tell noise from how far the machine "
-                "is from its drawing; measure more poses, give the noise (--noise-position …), or "
-                "give the tolerance in numbers (--tolerance 0.5mm,5mrad)"
+                "these rows do not tell noise from how far the machine is from its drawing; "
+                "measure more, or give the noise (--noise-position …) or --tolerance 0.5mm,5mrad"
             ) from error
+        calibration = fits.calibration  # at whose noise the next search begins
+        parts = [Evidence.of(fit, groups) for fit in fits.fits]
         rise = float(chdtri(1, 1.0 - CONFIDENCE))
         last, (sizes, ends) = sizes, likeliest(parts, sizes, (ALIKE * farthest, farthest), rise)
         estimates |= zip(sought, zip(sizes.tolist(), *ends.T.tolist(), strict=True), strict=True)
