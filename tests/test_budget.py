@@ -16,7 +16,7 @@ from tools.counts import Counts, count, count_revision, main  # noqa: E402
 LINES = {
     "": 209,
     "architectures": 640,
-    "calibration": 6_346,
+    "calibration": 6_349,
     "cli": 2_750,
     "design": 1_998,
     "estimation": 5_049,

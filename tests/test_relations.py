@@ -114,7 +114,10 @@ def test_derivatives_are_central_differences(tmp_path: Path) -> None:
 
 
 def test_heights_of_steps_are_those_of_the_second_row(tmp_path: Path) -> None:
-    """Columns dz, dx, dy and distances say the same of exact points: nothing is left of a fit."""
+    """Columns dx, dy and dz say where exact points are: nothing is left of a fit.
+
+    A pair whose rows are swapped is named.
+    """
     robot, _, points, readings = machine("linear_delta", 3)
     rows, table = tmp_path / "rows.csv", tmp_path / "pairs.csv"
     _written(tmp_path, robot, readings[:MARKS], [])
@@ -128,6 +131,13 @@ def test_heights_of_steps_are_those_of_the_second_row(tmp_path: Path) -> None:
     assert result.converged
     assert result.reduced_chi2 < 1e-12
     assert {part.name for part in result.observed} == {"dx", "dy", "dz"}
+    first, second, rest = lines[9].split(",", 2)
+    table.write_text("\n".join([*lines[:9], f"{second},{first},{rest}", *lines[10:]]))
+    data = pincal.Measurements.from_csv(rows, robot, pairs=table, partial=True)
+    with pytest.raises(
+        pincal.MeasurementError, match=r"the dx from row 1 to row \d+ is .* rows swapped"
+    ):
+        pincal.calibrate(robot, data, noise=pincal.Noise(1e-6))
 
 
 def test_wrong_pairs_are_named(tmp_path: Path) -> None:
@@ -168,11 +178,13 @@ def test_wrong_pairs_are_named(tmp_path: Path) -> None:
     assert 0.9 < calibrated(off, loss="reject").reduced_chi2 < 1.2
 
 
-def test_klippers_measurements_give_klippers_parameters(tmp_path: Path) -> None:
-    """41 probed heights and 12 distances of a printer.cfg: parameters as Klipper's cost has them.
+@pytest.mark.parametrize("extended", [True, False])
+def test_klippers_measurements_give_klippers_parameters(extended: bool, tmp_path: Path) -> None:
+    """41 probed heights, 3 manual ones and 12 distances of a printer.cfg: Klipper's parameters.
 
-    That is Σ (z − height)² n / (½ N) + Σ (d − distance)² (klippy/extras/delta_calibrate.py),
-    written out by its formulas, positions by three spheres, and minimised by SciPy: to 1e-6 mm.
+    Its cost is Σ (z − height)² n / (½ N) + Σ (d − distance)² of N probed heights and n distances;
+    without any, of heights alone, arms held (klippy/extras/delta_calibrate.py). Written out by its
+    formulas, positions by three spheres, and minimised by SciPy: to 1e-6 mm.
     """
     rng, way = np.random.default_rng(0), 40.0 / 3200.0  # mm a step
     nominal = np.array([174.75, 210.0, 330.0, 297.05, 297.05, 297.05, 333.0, 333.0, 333.0])
@@ -210,17 +222,25 @@ def test_klippers_measurements_give_klippers_parameters(tmp_path: Path) -> None:
     azimuths = np.radians(np.repeat([210, 270, 330, 30, 90, 150], 2))
     rays = np.column_stack((np.cos(azimuths), np.sin(azimuths), np.zeros(12)))
     ends = np.stack((4.5 * rays, np.where(np.arange(12) % 2, 69.5, 60.0)[:, None] * rays))
-    stable, far = steps(true, bed), [steps(true, end) for end in ends]
-    heights = 0.02 * rng.standard_normal(41)
+    manual = np.array([[30.0, 40.0, 5.0], [-50.0, 20.0, 0.0], [10.0, -60.0, 0.2]])
+    stable, far = steps(true, np.vstack((manual, bed))), [steps(true, end) for end in ends]
+    heights = np.append(manual[:, 2], np.zeros(41)) + 0.02 * rng.standard_normal(44)
     apart = np.linalg.norm(ends[1] - ends[0], axis=1) + 0.05 * rng.standard_normal(12)
-    weight = np.sqrt(len(apart) / (0.5 * len(heights)))
+    weight = np.sqrt(len(apart) / (0.5 * 41)) if extended else 1.0
 
-    def missed(p: Array) -> Array:
+    def missed(free: Array) -> Array:
+        p = np.append(free, nominal[len(free) :])
+        if not extended:
+            return positions(p, stable)[:, 2] - heights
         first, second = (positions(p, end) for end in far)
         distances = np.linalg.norm(second - first, axis=1)
         return np.append(weight * (positions(p, stable)[:, 2] - heights), distances - apart)
 
-    best = least_squares(missed, nominal, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    start = nominal if extended else nominal[:6]
+    exactly = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15)
+    best = np.append(
+        least_squares(missed, start, x_scale="jac", **exactly).x, nominal[len(start) :]
+    )
     lines = ["[printer]", "kinematics: delta", f"delta_radius: {nominal[0]}"]
     for name in "abc":
         lines += [f"[stepper_{name}]", "rotation_distance: 40", "microsteps: 16"]
@@ -228,8 +248,9 @@ def test_klippers_measurements_give_klippers_parameters(tmp_path: Path) -> None:
     lines += ["#*# [delta_calibrate]"]
     triple = "{:.3f},{:.3f},{:.3f}".format
     for n, (height, at) in enumerate(zip(heights.tolist(), stable, strict=True)):
-        lines += [f"#*# height{n} = {height!r}", f"#*# height{n}_pos = {triple(*at)}"]
-    for n, (distance, a, b) in enumerate(zip(apart.tolist(), *far, strict=True)):
+        name = f"manual_height{n}" if n < 3 else f"height{n - 3}"
+        lines += [f"#*# {name} = {height!r}", f"#*# {name}_pos = {triple(*at)}"]
+    for n, (distance, a, b) in enumerate(zip(apart.tolist() * extended, *far, strict=False)):
         lines += [f"#*# distance{n} = {distance!r}"]
         lines += [f"#*# distance{n}_pos1 = {triple(*a)}", f"#*# distance{n}_pos2 = {triple(*b)}"]
     (tmp_path / "printer.cfg").write_text("\n".join(lines))
@@ -237,9 +258,10 @@ def test_klippers_measurements_give_klippers_parameters(tmp_path: Path) -> None:
     robot = pincal.load_mechanism(tmp_path / "kossel")
     data = pincal.Measurements.from_csv(tmp_path / "kossel" / "probing.csv", robot, partial=True)
     sigma = np.full((len(data), 3), 5e-5 / weight)
-    exact = {"distance_1": np.full(len(data), 5e-5)}
+    exact = {"distance_1": np.full(len(data), 5e-5)} if extended else {}
     known = replace(data, sigma_poses=sigma, sigma_extra=exact)
-    options = {"tied": ["radius"], "fixed": [f"{robot.legs[2].name}.angle"]}
+    fixed = [f"{robot.legs[2].name}.angle", *["arm"] * (not extended)]
+    options = {"tied": ["radius"], "fixed": fixed}
     result = pincal.calibrate(robot, known, **options)
     assert result.converged
     by_leg = [leg.identified for leg in result.legs]  # radius, angle, arm, endstop of each

@@ -156,8 +156,9 @@ def held_rows(calibration: Calibration, rows: Mask) -> Calibration:
 def _check_touched(calibration: Calibration, groups: Index) -> None:
     """Raise if a point at an unknown place is touched by rows of one fold alone, groups (N,)."""
     for column, point, contact in calibration.options.setup.touched.values():
-        rows = np.array(calibration.measurements.contacts[column]) == point
-        if column != ROW and contact.points[point] is None and len(np.unique(groups[rows])) == 1:
+        folds = np.unique(groups[np.array(calibration.measurements.contacts[column]) == point])
+        held = len(folds) == 1 and folds[0] >= 0  # rows that are in every fit have none
+        if held and column != ROW and contact.points[point] is None:
             raise MeasurementError(
                 f"{column} {point!r} is touched by rows alone that are held out together, and the "
                 "others do not say where it is"

@@ -386,9 +386,11 @@ def check_distances(calibration: Calibration) -> None:
                 lengths = [amount(float(values[row]), "m") for values in (measured, nominal)]
                 question = f"{factor:.3g} times as much; is it in {_MISTAKEN.get(factor)}?"
                 if kind != "distance":
-                    question = f"the opposite: are its rows swapped? It is that of {b} less {a}'s."
+                    question = (
+                        f"the opposite; are its rows swapped? It is row {b}'s less row {a}'s."
+                    )
                 raise MeasurementError(
-                    f"the {kind} of rows {a} and {b} is {lengths[0]}, by the nominal machine "
+                    f"the {kind} from row {a} to row {b} is {lengths[0]}, by the nominal machine "
                     f"{lengths[1]}, {question} Correct it, or the unit in the header"
                 )
 
