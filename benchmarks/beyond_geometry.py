@@ -31,7 +31,7 @@ from pages import write_table
 import pincal
 from pincal.calibration.promise import unseen
 from pincal.calibration.terms.choice import LEVEL
-from pincal.design.order import in_turns
+from pincal.design.order import in_rounds
 from pincal.design.platform_error import platform_error
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def planned() -> Array:
     """Return the poses that are measured, shape (72, 3)."""
     candidates = pincal.sample_workspace(nominal(), 3000, 0)
     chosen = pincal.select_poses(nominal(), candidates, 24, noise=NOISE)
-    return in_turns(chosen.plan).poses
+    return in_rounds(nominal(), chosen.plan, every=0).poses
 
 
 @cache

@@ -8,6 +8,7 @@ from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
 from .calibration.terms.choice import Explanation
 from .design.forecast import forecast
+from .design.planning import select
 from .design.select import Selection, select_poses
 from .design.select_configurations import select_configurations
 from .design.simulate import accuracy, disturb, simulate
@@ -130,6 +131,7 @@ __all__ = [
     "sample_configurations",
     "sample_contacts",
     "sample_workspace",
+    "select",
     "select_configurations",
     "select_poses",
     "simulate",

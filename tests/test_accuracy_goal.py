@@ -136,7 +136,8 @@ def test_the_command_says_what_poses_are_best_for(tmp_path: Path) -> None:
         "select", "5R", "--count", 12, "--starts", 1, "--goal", "platform", "-o", tmp_path / "p.csv"
     )
     assert "the platform's accuracy" in " ".join(said.out.split())
-    assert len(pincal.Plan.from_csv(tmp_path / "p.csv", "5R")) == 12
+    plan = pincal.Plan.from_csv(tmp_path / "p.csv", "5R")
+    assert len(plan) == 12 + 1  # and the reference once more
 
 
 def test_parts_of_the_parameters_are_chosen_for_as_one() -> None:

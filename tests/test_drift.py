@@ -12,7 +12,7 @@ from command_line import done
 from measured import workspace
 
 import pincal
-from pincal.design.order import REFERENCE, in_turns, with_reference
+from pincal.design.order import REFERENCE, in_rounds
 
 NOISE = pincal.Noise(2e-5, 2e-5, 1e-5)
 
@@ -27,7 +27,7 @@ def leg_after_leg(count: int) -> tuple[pincal.Mechanism, pincal.Plan]:
 def test_one_pose_is_measured_again(tmp_path: Path) -> None:
     """Every so many rows and last, by one name, for every leg; written, read and simulated so."""
     mechanism, plan = leg_after_leg(8)
-    more = with_reference(mechanism, plan, 10)
+    more = in_rounds(mechanism, plan, 3, 10)
     assert len(more) == 24 + 4
     assert more.places is not None
     assert more.sets is not None
@@ -43,13 +43,13 @@ def test_one_pose_is_measured_again(tmp_path: Path) -> None:
     data = pincal.simulate(mechanism, mechanism, more, NOISE).measurements
     assert data.places == more.places
     with pytest.raises(pincal.MeasurementError, match="every"):
-        with_reference(mechanism, plan, 0)
+        in_rounds(mechanism, plan, 3, -1)
 
 
 def test_reference_poses_show_a_drift() -> None:
     """A sensor that drifts by ten standard deviations: the calibration says so."""
     mechanism, plan = leg_after_leg(12)
-    more = with_reference(mechanism, in_turns(plan), 4)
+    more = in_rounds(mechanism, plan, every=4)
     data = pincal.simulate(mechanism, mechanism, more, NOISE).measurements
     drifted = data.readings + 10.0 * NOISE.reading * np.linspace(-0.5, 0.5, len(data))[:, None]
     codes: list[set[str]] = [
@@ -74,7 +74,7 @@ def test_the_command_line_says_it(tmp_path: Path) -> None:
 def test_a_reference_that_moves_is_named_with_how_far() -> None:
     """A tracker that drifts 0.2 mm along y over the run; one that stands still is not blamed."""
     mechanism, plan = leg_after_leg(12)
-    more = with_reference(mechanism, in_turns(plan), 4)
+    more = in_rounds(mechanism, plan, every=4)
     data = pincal.simulate(mechanism, mechanism, more, NOISE).measurements
     poses = data.poses + 2e-4 * np.linspace(-0.5, 0.5, len(data))[:, None] * [0.0, 1.0, 0.0]
     still, moved = (

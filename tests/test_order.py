@@ -1,4 +1,4 @@
-"""The order of measuring: sets take turns, and poses to verify with lie between them."""
+"""The order of measuring: rounds of short ways, poses to verify with between the others."""
 
 from __future__ import annotations
 
@@ -9,33 +9,53 @@ import numpy as np
 import pytest
 from command_line import done
 from measured import workspace
+from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial.distance import pdist, squareform
 
 import pincal
-from pincal.design.order import in_turns, with_verification
+from pincal.design.order import in_rounds, with_verification
 
 
-def test_sets_take_turns() -> None:
-    """No set is earlier than another on average, each of its poses is there once, in any order."""
-    sets = ("leg_1",) * 12 + ("leg_2",) * 12 + ("leg_3",) * 6
-    plan = pincal.Plan(np.arange(90.0).reshape(30, 3), sets)
-    ordered = in_turns(plan, 3)
-    assert sorted(ordered.poses[:, 0]) == sorted(plan.poses[:, 0])
-    named = dict(zip(plan.poses[:, 0], sets, strict=True))
-    assert tuple(named[one] for one in ordered.poses[:, 0]) == ordered.sets
-    when = {name: np.flatnonzero(np.array(ordered.sets) == name).mean() for name in set(sets)}
-    assert max(when.values()) - min(when.values()) < 1.5
-    own = [one for one in ordered.poses[:, 0] if named[one] == "leg_1"]
-    assert own != sorted(own)
-    np.testing.assert_array_equal(in_turns(plan, 3).poses, ordered.poses)
-    assert not np.array_equal(in_turns(plan, 4).poses, ordered.poses)
+def of_legs(count: int) -> tuple[pincal.Mechanism, pincal.Plan]:
+    """Return a 3-RRR and poses for each leg, set after set."""
+    mechanism = pincal.load_mechanism("3RRR")
+    sets = tuple(leg for leg in mechanism.leg_names for _ in range(count))
+    return mechanism, pincal.Plan(workspace("3RRR", 3 * count), sets)
 
 
-def test_mapped_poses_follow_one_another() -> None:
-    """The k-th poses of sets of one size are neighbours still."""
-    sets = ("leg_1",) * 5 + ("leg_2",) * 5
-    plan = pincal.Plan(np.tile(np.arange(5.0)[:, None], (2, 3)), sets)
-    first = in_turns(plan).poses[:, 0].reshape(5, 2)
-    np.testing.assert_array_equal(first[:, 0], first[:, 1])
+def test_rounds_have_a_share_of_every_set() -> None:
+    """Each round has as many rows of each set as the others, all rows are there once; by seeds."""
+    mechanism, plan = of_legs(12)
+    ordered = in_rounds(mechanism, plan, 3, 0, seed=3)
+    rows = [plan.poses.tolist().index(pose) for pose in ordered.poses.tolist()]
+    assert sorted(rows) == list(range(36))
+    assert ordered.sets is not None
+    assert ordered.sets == tuple(plan.rows(rows).sets or ())
+    for start in (0, 12, 24):
+        assert {ordered.sets[start : start + 12].count(leg) for leg in mechanism.leg_names} == {4}
+    np.testing.assert_array_equal(in_rounds(mechanism, plan, 3, 0, seed=3).poses, ordered.poses)
+    assert not np.array_equal(in_rounds(mechanism, plan, 3, 0, seed=4).poses, ordered.poses)
+
+
+def test_ways_are_short() -> None:
+    """One round is at most 1.3 times the least tree that joins all rows, three at most 2.3 times.
+
+    The tree is shorter than any order can be. In a random order it is four times the tree.
+    """
+    mechanism, plan = of_legs(24)
+    readings = pincal.inverse(mechanism, plan.poses).readings
+    spans = readings / np.ptp(readings, axis=0)
+    ways = squareform(pdist(plan.poses[:, :2]))
+    ways = ways / ways.max() + squareform(pdist(spans, "chebyshev"))
+    least = minimum_spanning_tree(ways).sum()
+
+    def way(ordered: pincal.Plan) -> float:
+        rows = [plan.poses.tolist().index(pose) for pose in ordered.poses.tolist()]
+        return float(ways[rows[:-1], rows[1:]].sum() / least)
+
+    assert way(in_rounds(mechanism, plan, 1)) < 1.3
+    assert way(in_rounds(mechanism, plan, 3)) < 2.3
+    assert way(plan) > 4.0
 
 
 def test_poses_to_verify_with_are_others() -> None:
@@ -61,11 +81,11 @@ def test_a_drift_does_not_hide_in_legs() -> None:
     """A tracker that drifts by 0.2 mm: limits of the platform's error hold, or are withdrawn.
 
     Leg after leg, each leg is calibrated by its own part of the drift, which its residuals do not
-    show: errors are larger than the noise makes them. In turns they are not.
+    show: errors are larger than the noise makes them. In rounds they are not.
     """
-    mechanism, noise = pincal.load_mechanism("3RRR"), pincal.Noise(2e-5, 2e-5)
-    poses = workspace("3RRR", 60)
-    plan = pincal.Plan(poses, tuple(leg for leg in mechanism.leg_names for _ in range(20)))
+    noise = pincal.Noise(2e-5, 2e-5)
+    mechanism, plan = of_legs(20)
+    poses = plan.poses
     drift = np.linspace(-1e-4, 1e-4, 60)[:, None] * [1.0, 0.0, 0.0]
 
     def shares(seed: int, planned: pincal.Plan) -> tuple[float, float]:
@@ -80,24 +100,38 @@ def test_a_drift_does_not_hide_in_legs() -> None:
         share = error.position / expected.limit[0]
         return share, share * expected.unseen
 
-    assert all(shares(seed, in_turns(plan, seed))[0] <= 1.0 for seed in range(6))
+    rounds = [in_rounds(mechanism, plan, every=0, seed=seed) for seed in range(6)]
+    assert all(shares(seed, ordered)[0] <= 1.0 for seed, ordered in enumerate(rounds))
     assert max(shares(seed, plan)[1] for seed in range(6)) > 1.0
 
 
-def test_select_writes_in_turns_and_calibrate_verifies(tmp_path: Path) -> None:
-    """From the command line to the report: rows to verify with are predicted, not followed."""
+def test_select_writes_in_rounds_and_calibrate_verifies(tmp_path: Path) -> None:
+    """From the command line to the report: rows to verify with are predicted, not followed.
+
+    Python chooses the same plan; set points are the readings of its poses.
+    """
     mechanism = pincal.load_mechanism("3RRR")
     plan, data = tmp_path / "plan.csv", tmp_path / "m.csv"
-    pincal.Plan(workspace("3RRR", 300)).to_csv(tmp_path / "c.csv", mechanism)
+    offered = pincal.Plan(workspace("3RRR", 300))
+    offered.to_csv(tmp_path / "c.csv", mechanism)
     choose = ["select", "3RRR", "--count", 10, "--starts", 1, "--candidates", tmp_path / "c.csv"]
-    done(*choose, "--verify", 6, "-o", plan)
-    sets = pincal.Plan.from_csv(plan, mechanism).sets
-    assert sets is not None
-    assert [sets.count(name) for name in (*mechanism.leg_names, "verify")] == [10, 10, 10, 6]
-    assert len(set(sets[:4])) > 2
+    done(*choose, "--verify", 6, "--units", "mm,deg", "-o", plan)
+    written = pincal.Plan.from_csv(plan, mechanism)
+    assert written.sets is not None
+    counts = [written.sets.count(name) for name in (*mechanism.leg_names, "verify", "all")]
+    assert counts == [10, 10, 10, 6, 3]
+    chosen = pincal.select("3RRR", candidates=offered, count=10, starts=1, verify=6)
+    np.testing.assert_allclose(chosen.plan.poses, written.poses, atol=1e-9)
+    assert (chosen.plan.sets, chosen.plan.places) == (written.sets, written.places)
+    head, *lines = plan.read_text().splitlines()
+    names = head.split(",")
+    assert names[-3:] == [f"planned_{leg} [deg]" for leg in mechanism.leg_names]
+    planned = np.array([line.split(",")[-3:] for line in lines], dtype=float)
+    wanted = np.degrees(pincal.inverse(mechanism, written.poses).readings)
+    np.testing.assert_allclose(planned, wanted, atol=1e-6)
     noise = ["--noise-position", "1e-4", "--noise-orientation", "1e-4"]
     done("simulate", "3RRR", plan, *noise, "-o", data)
     done("calibrate", "--no-report", "3RRR", data, *noise, "-o", tmp_path / "r")
-    found = pincal.load_result(tmp_path / "r")
-    assert found.validation is not None
-    assert found.validation.rows == 6
+    result = pincal.load_result(tmp_path / "r")
+    assert result.validation is not None
+    assert result.validation.rows == 6

@@ -10,7 +10,7 @@ GROUPS = {
     "Workspace": "sample_workspace sample_configurations sample_contacts compute_workspace "
     "Workspace Grid Orientations Margins free_of_collision",
     "Symmetry": "symmetry_group Element cyclic dihedral",
-    "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
+    "Poses to measure": "select select_poses Selection select_configurations Plan forecast indices",
     "Measurements": "Measurements Noise Setup Target Distance Contact Tracker Systematic "
     "Camera Lens Markers Instrument",
     "Calibration": "calibrate Options Loss CalibrationResult load_result explain "

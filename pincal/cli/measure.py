@@ -19,8 +19,8 @@ import pincal
 from pincal import FileError, MeasurementError, Mechanism, Noise, Setup
 from pincal.calibration.session import Session, SessionOptions
 from pincal.cli.app import command, say, stdout, warn, working
-from pincal.cli.design import sampled, with_reading_noise
 from pincal.cli.options import Mech, PlanOptions
+from pincal.design.planning import sampled, with_reading_noise
 from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
 from pincal.files.table import write_table

@@ -17,7 +17,7 @@ from pincal.architectures.dimension import Architecture, Values
 from pincal.architectures.new import architecture_of
 from pincal.cli.app import app, command, remark, run_step, say, stdout, working, wrote
 from pincal.cli.options import Force, Seed, named_after, output_option
-from pincal.design.order import in_turns, with_verification
+from pincal.design.order import in_rounds, with_verification
 from pincal.files.columns import columns_of, write_sheet
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
@@ -86,7 +86,7 @@ def new(
         candidates = _candidates(design, values, mechanism)
         chosen = pincal.select_configurations(mechanism, candidates, count, noise=noise, seed=_SEED)
         plan = with_verification(mechanism, chosen.plan, candidates, _VERIFY, _SEED)
-        plan = in_turns(plan, _SEED)
+        plan = in_rounds(mechanism, plan, seed=_SEED)
     with writing(output, force=force, folder=FOLDER) as scratch:
         write_mechanism(mechanism, scratch)
         drawn = any(parameter.nominal for parameter in mechanism.parameters)

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.kinematics.configurations import as_plan, inverse, joints_at, planned_influences
 from pincal.model.checks import count_of
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.relations import ROW, TO
+from pincal.types import Array, Mask
 
 
 def with_distances(plan: Plan, count: int) -> Plan:
@@ -39,50 +40,114 @@ def with_distances(plan: Plan, count: int) -> Plan:
 
 REFERENCE = "reference"
 """Name of the pose that is measured again and again."""
+_ROUND = 8  # rows that a round has at least
+_BLOCKED = 1e3  # length of a way that must not be driven
 
 
-def in_turns(plan: Plan, seed: int = 0) -> Plan:
-    """Return a plan whose sets take turns, each in a random order.
+def in_rounds(
+    mechanism: Mechanism,
+    plan: Plan,
+    rounds: int = 3,
+    every: int | None = None,
+    seed: int = 0,
+    blocked: Mask | bool = False,
+) -> Plan:
+    """Return a plan in the order in which it is driven, with a reference pose between.
 
-    Sets of one size have the same order: poses that a symmetry maps follow one another.
-    """
-    sets = np.array(plan.serving)
-    when = np.empty(len(plan))
-    for name in np.unique(sets):
-        rows = np.flatnonzero(sets == name)
-        order = np.random.default_rng(seed).permutation(len(rows))
-        when[rows[order]] = (np.arange(len(rows)) + 0.5) / len(rows)
-    return plan.rows(np.argsort(when, kind="stable"))
+    Each round has a random share of every set, and goes round it by a short way, from the pose in
+    the middle (least sum of squared ways to the others) and back to it. What drifts slowly is then
+    no error of one leg or one region. Rows of the middle pose have the name ``reference``, and
+    differ by noise and by what drifts.
 
-
-def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
-    """Return a plan in which one pose is measured again every so many rows, and at both ends.
-
-    The pose in the middle: with the least sum of squared twists to the others. Its rows have the
-    name ``reference``, and differ by noise and by what drifts.
+    Args:
+        mechanism: The mechanism.
+        plan: Rows in any order, N.
+        rounds: Number of rounds; fewer where they would have less than eight rows.
+        every: Rows between which the reference is measured, and at both ends; at the ends of all
+            rounds if not given; 0 for never.
+        seed: Seed of the shares.
+        blocked: Ways between rows that must not be driven if others can, shape (N, N).
 
     Raises:
-        MeasurementError: no rows between.
+        MeasurementError: no round, or a negative number of rows between.
     """
-    count_of(every, "every", MeasurementError, 1)
-    platform, count = mechanism.platform, len(plan)
-    per = np.array([1.0 / mechanism.size if unit == "m" else 1.0 for unit in platform.units])
-    fitted = np.flatnonzero(~plan.verifying)
-    twists = (
-        platform.twists_between(np.tile(plan.poses[row], (len(fitted), 1)), plan.poses[fitted])
-        for row in fitted
-    )
-    middle = int(fitted[np.argmin([((per * twist) ** 2).sum() for twist in twists])])
-    places = [*range(0, count, every), count]  # before which it is measured
-    repeated = np.insert(np.zeros(count, dtype=bool), places, True)
-    order = np.insert(np.arange(count), places, middle)
-    ordered = plan.rows(order)
-    names = np.array(ordered.places or ("",) * len(order), dtype=object)
+    count_of(rounds, "rounds", MeasurementError, 1)
+    count_of(every or 0, "every", MeasurementError, 0)
+    sets, when = np.array(plan.serving), np.empty(len(plan))
+    for name in np.unique(sets):
+        rows = np.flatnonzero(sets == name)
+        shares = (np.arange(len(rows)) + 0.5) / len(rows)
+        when[np.random.default_rng(seed).permutation(rows)] = shares
+    number = np.floor(when * np.clip(len(plan) // _ROUND, 1, rounds))
+    ways, fitted = _ways(mechanism, plan), np.flatnonzero(~plan.verifying)
+    middle = fitted[np.argmin((ways[np.ix_(fitted, fitted)] ** 2).sum(axis=1))]
+    ways += _BLOCKED * blocked
+    order, ends = list[int](), list[int]()
+    for place in np.unique(number):
+        rows = np.flatnonzero((number == place) & (np.arange(len(plan)) != middle))
+        rows = np.append(middle, rows)
+        rows = rows[_way_round(ways[np.ix_(rows, rows)])]
+        if number[middle] != place:
+            ends.append(len(order))
+            rows = rows[1:]
+        order += rows.tolist()
+    ends.append(len(order))
+    if every is not None:
+        ends = [*range(0, len(plan), every), len(plan)] if every else []
+    repeated = np.insert(np.zeros(len(plan), dtype=bool), ends, True)
+    ordered = plan.rows(np.insert(order, ends, middle))
+    if not ends:
+        return ordered
+    names = np.array(ordered.places or ("",) * len(ordered), dtype=object)
+    is_middle = np.insert(np.array(order) == middle, ends, True)
     return replace(
         ordered,
         sets=tuple(np.where(repeated, EVERY_LEG, ordered.serving).tolist()),
-        places=tuple(np.where(order == middle, REFERENCE, names).tolist()),
+        places=tuple(np.where(is_middle, REFERENCE, names).tolist()),
     )
+
+
+def _ways(mechanism: Mechanism, plan: Plan) -> Array:
+    """Return the lengths of ways between rows, shape (N, N).
+
+    What the drive that moves most moves of its span, and the platform of its longest way.
+    """
+    readings = plan.readings
+    if readings is None:
+        readings = inverse(mechanism, plan.poses, planned_influences(mechanism, plan)).readings
+    positions = plan.poses[:, : mechanism.platform.lengths]
+    ways = np.zeros((len(plan), len(plan)))
+    for column in positions.T:
+        ways += (column[:, None] - column) ** 2
+    ways = np.sqrt(ways / (ways.max(initial=0.0) or 1.0))
+    driven = np.zeros_like(ways)
+    for column in np.nan_to_num(readings).T:
+        np.maximum(driven, np.abs(column[:, None] - column) / (np.ptp(column) or 1.0), out=driven)
+    return ways + driven
+
+
+def _way_round(ways: Array) -> Array:
+    """Return all N places in the order of a short way from the first and back, shape (N,).
+
+    Of lengths of ways (N, N): the nearest next (greedy), then ways are uncrossed while that makes
+    it shorter (2-opt).
+    """
+    path, ahead = [0], list(range(1, len(ways)))
+    while ahead:
+        path.append(ahead.pop(int(np.argmin(ways[path[-1], ahead]))))
+    order, shorter = np.array(path), True
+    while shorter:
+        shorter = False
+        for place in range(len(order) - 2):
+            before, first = order[place : place + 2]
+            last, after = order[place + 1 :], np.roll(order, -1)[place + 1 :]
+            gain = ways[before, first] + ways[last, after]
+            gain -= ways[before, last] + ways[first, after]
+            end = int(np.argmax(gain))
+            if gain[end] > 1e-12:
+                order[place + 1 : place + 2 + end] = order[place + 1 : place + 2 + end][::-1].copy()
+                shorter = True
+    return order
 
 
 def with_verification(

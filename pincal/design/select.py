@@ -103,6 +103,8 @@ class Selection:
     """
 
     plan: Plan
+    count: int
+    """Number of poses chosen; a plan that is driven has further rows."""
     protocol: Protocol | Goal
     """How poses serve legs, or what ``select_configurations`` chose for."""
     efficiency: float
@@ -119,7 +121,7 @@ class Selection:
     measured: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        size = f"{len(self.plan.poses)} poses of {self.candidates}"
+        size = f"{self.count} poses of {self.candidates}"
         return f"Selection({self.protocol}, {size}, efficiency {self.efficiency:.3f})"
 
     @attached
@@ -280,8 +282,8 @@ def select_poses(
         figures = indices(C), r_diagonal(C), identifiability(C, leg.parameter_ids).condition
         served, reference = len(demand.value), carried[leg.name][0]
         designs.append(LegDesign(leg.name, served, efficiency, *figures, reference))
-    efficiency, legs_given = min(efficiencies), tuple(designs)
-    return Selection(plan, protocol, efficiency, search.in_reach, search.unreachable, legs_given)
+    offered = search.in_reach, search.unreachable, tuple(designs)
+    return Selection(plan, len(plan), protocol, min(efficiencies), *offered)
 
 
 def _leg_by_leg(

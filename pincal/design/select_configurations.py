@@ -110,4 +110,5 @@ def select_configurations(
     chosen, value = exchange((blocks,), count, design.priority, rng, search.starts, criterion)
     plan = Plan(legs.poses, readings=legs.readings, contacts=legs.contacts).rows(chosen)
     efficiency = design.efficiency(value, count)
-    return Selection(plan, goal, efficiency, len(blocks), rank=identifiable, measured=names)
+    chosen_of = goal, efficiency, len(blocks)
+    return Selection(plan, count, *chosen_of, rank=identifiable, measured=names)

@@ -63,13 +63,13 @@ _NAMESPACES = {
 
 
 def write_book(path: Path, rows: Sequence[Sequence[str]]) -> None:
-    """Write rows of text to an .xlsx file, the first bold and in view, empty cells coloured."""
+    """Write rows of text to an .xlsx file, the first bold, cells to measure coloured."""
     widths = "".join(
         f'<col min="{column}" max="{column}" width="{max(8, len(head) + 2)}" customWidth="1"/>'
         for column, head in enumerate(rows[0], start=1)
     )
     lines = "".join(
-        f'<row r="{number}">{"".join(_book_cell(text, number == 1) for text in cells)}</row>'
+        f'<row r="{number}">{"".join(map(_book_cell, cells, rows[0]))}</row>'
         for number, cells in enumerate(rows, start=1)
     )
     sheet = (
@@ -83,13 +83,13 @@ def write_book(path: Path, rows: Sequence[Sequence[str]]) -> None:
         archive.writestr("xl/sheet.xml", sheet)
 
 
-def _book_cell(text: str, heads: bool) -> str:
-    """Return a cell of an .xlsx sheet: a number, text, or to be filled in; bold if it heads."""
+def _book_cell(text: str, head: str) -> str:
+    """Return a cell of an .xlsx sheet: a number, text (bold if it heads), or to be measured."""
     if not text:
-        return '<c s="2"/>'
-    if not heads and np.isfinite(plain_number(text)):
+        return '<c s="2"/>' if "[" in head else "<c/>"
+    if np.isfinite(plain_number(text)):
         return f"<c><v>{text}</v></c>"
-    return f'<c s="{int(heads)}" t="inlineStr"><is><t>{escape(text)}</t></is></c>'
+    return f'<c s="{int(text == head)}" t="inlineStr"><is><t>{escape(text)}</t></is></c>'
 
 
 def sheet_rows(path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -85,7 +85,8 @@ class Units:
         for header, column in columns.items():
             name, bracket, bracketed = header.partition(" [")
             unit = bracketed.removesuffix("]")
-            shown, scale = self.names.get(unit, unit), self.counts.get(name.removeprefix("sigma_"))
+            reading = name.removeprefix("sigma_").removeprefix("planned_")
+            shown, scale = self.names.get(unit, unit), self.counts.get(reading)
             if not bracket or (shown == unit and scale is None and not self.last):
                 written[header] = column
                 continue

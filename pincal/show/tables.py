@@ -76,7 +76,7 @@ def selection_table(selection: Selection, name: str = "") -> Table:
     """Return what a selection gives each leg, or how good configurations of a machine are."""
     if (rank := selection.rank) is None:
         return Table(
-            f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
+            f"{selection.count} poses, {selection.protocol} selection from "
             f"{selection.candidates} candidates",
             ["leg", "poses", "efficiency:.4f", "O1:.4f", "condition:.3g"],
             [
@@ -89,7 +89,7 @@ def selection_table(selection: Selection, name: str = "") -> Table:
     lost = rank.n_params - rank.rank
     words = f"; {lost} directions are not observable at any candidate" if lost else ""
     row = (
-        len(selection.plan.poses),
+        selection.count,
         Cell(selection.candidates, f"{selection.candidates:,}"),
         selection.efficiency,
         Cell(rank.rank, f"{rank.rank} of {rank.n_params}"),

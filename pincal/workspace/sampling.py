@@ -367,6 +367,8 @@ def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
                     f"joint {joint.name!r} of {leg.name} is at {value:.4g} there, outside its "
                     f"limits {joint.lower:.4g} to {joint.upper:.4g}"
                 )
+    if in_workspace(mechanism, platform.home_pose, replace(least, tension=None))[0]:
+        return start + f"its cables cannot all be kept at {least.tension:g} N (--margin-tension)"
     distance = margins(mechanism, platform.home_pose)
     return start + (
         f"its distances from singularities are {distance.type1.min():.3g} (type 1, the drives' "

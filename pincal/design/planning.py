@@ -1,0 +1,258 @@
+"""From a mechanism to a plan that can be driven: candidates, the choice among them, the order."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pincal.design.orbits import selection_group
+from pincal.design.order import in_rounds, with_distances, with_verification
+from pincal.design.select import Goal, Protocol, Selection, select_poses
+from pincal.design.select_configurations import select_configurations
+from pincal.errors import MeasurementError, SymmetryError, WorkspaceError
+from pincal.estimation.noise import assumed_noise
+from pincal.files.measurements import as_noise, read_poses
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.instruments.setup_file import read_setup
+from pincal.kinematics.collision import arm_free_of_collision
+from pincal.kinematics.configurations import check_reached
+from pincal.model.checks import listed
+from pincal.model.measurements import Noise, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.option import option
+from pincal.model.setup import Setup
+from pincal.words.numbers import amount
+from pincal.workspace.criteria import Margins, in_workspace
+from pincal.workspace.limits import Limits, moving_points
+from pincal.workspace.sampling import sample_configurations, sample_contacts
+
+CONFIGURATIONS = 3000
+"""Candidates, where all parameters are looked at together."""
+_POSES = 30_000  # candidates, where legs have poses of their own
+_FEW = 4  # times as many candidates as that are drawn again, where limits leave fewer
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PlanningOptions(Limits):
+    """How poses are chosen, and in which order they are driven."""
+
+    count: int = option(
+        24,
+        "Poses for each leg; orbits with --protocol orbits; of all legs with --protocol common, "
+        "--goal platform, --measure or an unknown frame.",
+        least=1,
+    )
+    protocol: Protocol | None = option(
+        None,
+        "independent: each leg its own poses; symmetric: leg 1's poses, mapped to the other legs; "
+        "orbits: whole orbits, every pose serves every leg; common: COUNT poses for the parameters "
+        "of all legs together.",
+    )
+    candidates: Any = option(
+        None,
+        "Poses to choose from; else 30000 are sampled, 3000 for all legs at once.",
+        metavar="CSV",
+        kind=Path | None,
+    )
+    collision: Path | None = option(
+        None, "Avoid self-collisions of an arm, by this file's geometry.", metavar="ROBOT.urdf"
+    )
+    goal: Goal = option("parameters", "Best for the parameters, or for the calibrated platform.")
+    starts: int = option(5, "Starts of the search; the best is kept.", least=1)
+    distances: int = option(
+        0,
+        "Distances from each pose to others, by calliper or tape, in place of positions.",
+        least=0,
+    )
+    verify: int = option(0, "Additional random poses to verify the calibration with.", least=0)
+    rounds: int = option(
+        3, "Rounds of short ways, each over a random share of all poses; 1 is shortest.", least=1
+    )
+    reference: int | None = option(
+        None,
+        "Repeat the middle pose every so many rows, which shows drift [default: at both ends and "
+        "between rounds]; 0 for never.",
+        least=0,
+    )
+    seed: int = option(0, "Seed of all random choices.", least=0)
+
+
+def select(
+    mechanism: GivenMechanism,
+    *,
+    measured: Sequence[str] | None = None,
+    setup: Setup | None = None,
+    noise: Noise | None = None,
+    margins: Margins | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+    **options: Any,
+) -> Selection:
+    """Return chosen poses as a plan that can be driven, as ``pincal select`` does.
+
+    Candidates are sampled from the workspace, or given; those outside limits are left out. The
+    plan's rows are in rounds (``design.order``), with poses to verify with, and the middle pose
+    again and again.
+
+    Args:
+        mechanism: The mechanism.
+        measured: What will be measured of the platform (see ``forecast``); the pose if not given.
+        setup: What measured numbers will mean.
+        noise: Standard deviations of the measurements to come.
+        margins: Distances from singularities, and tensions of cables, that candidates keep.
+        progress: Called with what is being done.
+        **options: Those of the command: ``count``, ``protocol``, ``candidates`` (a plan, poses or
+            their file), ``goal``, ``starts``, ``seed``, ``collision``, ``box``, ``floor``,
+            ``keep_out``, ``clearance``, ``verify``, ``rounds``, ``reference``, ``distances``.
+
+    Raises:
+        ObservabilityError: too few poses for the parameters, or too few candidates.
+        WorkspaceError: no candidate is within the limits.
+        MeasurementError: options that do not go together.
+        FileError: a file that cannot be read.
+
+    Example:
+        >>> import pincal
+        >>> selection = pincal.select("5R", count=8, starts=1, box="y=0.6..1.2", verify=4)
+        >>> selection.count, selection.plan.sets.count("verify")
+        (16, 4)
+    """
+    mechanism, choice = as_mechanism(mechanism), PlanningOptions(**options)
+    if mechanism.influences:
+        _log.info(
+            "planned with %s at their reference: their terms need rows in which they differ",
+            ", ".join(mechanism.influences),
+        )
+        mechanism = mechanism.at_reference
+    setup = read_setup(setup or Setup())
+    if choice.distances:  # say in a machine's own frame what positions say
+        setup = setup.anywhere(frame=True)
+        measured = mechanism.platform.freedoms[: mechanism.platform.lengths]
+    noise = with_reading_noise(as_noise(noise), mechanism)
+    partial = measured is not None or not setup.plain or choice.goal == "platform"
+    together = mechanism.by_readings or partial or choice.collision is not None
+    if together and choice.protocol not in (None, "common"):
+        raise MeasurementError(
+            f"--protocol {choice.protocol} chooses whole poses in the base frame that are best "
+            "for the parameters; leave it out where something else is measured or wanted: poses "
+            "are then common to all legs"
+        )
+    progress("sampling the workspace")
+    offered = _candidates(mechanism, choice, setup, margins, CONFIGURATIONS if together else _POSES)
+    progress("choosing poses")
+    search: dict[str, Any] = {"noise": noise, "seed": choice.seed, "starts": choice.starts}
+    if together:
+        if isinstance(choice.candidates, str | Path):
+            check_reached(mechanism, offered, str(choice.candidates))
+        search |= {"measured": measured, "setup": setup, "goal": choice.goal}
+        selection = select_configurations(mechanism, offered, choice.count, **search)
+    else:
+        selection = _of_legs(mechanism, offered, choice, search)
+    if selection.unreachable:
+        _log.info("%d candidate poses are out of reach and left out", selection.unreachable)
+    return replace(selection, plan=_driven(mechanism, selection.plan, offered, choice, setup))
+
+
+def _of_legs(
+    mechanism: Mechanism, offered: Plan, choice: PlanningOptions, search: dict[str, Any]
+) -> Selection:
+    """Return poses by a protocol: symmetric if mechanism and limits allow it, if none is said."""
+    protocol = choice.protocol
+    if protocol is None:
+        try:
+            selection_group(mechanism)
+        except SymmetryError as error:
+            _log.info("independent selection: %s", error)
+            protocol = "independent"
+    given = mechanism, offered.poses, choice.count
+    selection = select_poses(*given, protocol or "symmetric", **search)
+    if choice.allow(mechanism, selection.plan, Setup()).all():
+        return selection
+    if protocol is not None:
+        raise MeasurementError(
+            f"--protocol {protocol} maps poses out of the limits; leave it out, or choose limits "
+            "with the mechanism's symmetry"
+        )
+    _log.info("independent selection: the limits do not have the mechanism's symmetry")
+    return select_poses(*given, "independent", **search)
+
+
+def _candidates(
+    mechanism: Mechanism,
+    choice: PlanningOptions,
+    setup: Setup,
+    margins: Margins | None,
+    count: int,
+) -> Plan:
+    """Return poses to choose from, those given or about so many, that keep limits and margins."""
+    if choice.candidates is not None:
+        offered = read_poses(choice.candidates, mechanism, setup=setup)
+    else:
+        offered = sampled(mechanism, setup, count, choice.seed, margins)
+    if margins is not None and not mechanism.by_readings:
+        offered = offered.rows(in_workspace(mechanism, offered.poses, margins))
+    total, within = len(offered), offered.rows(choice.allow(mechanism, offered, setup))
+    if choice.candidates is None and 0 < _FEW * len(within) < total:
+        offered = sampled(mechanism, setup, 2 * _FEW * count, choice.seed, margins)
+        within = offered.rows(choice.allow(mechanism, offered, setup))
+    if not len(within):
+        raise WorkspaceError(
+            f"none of {len(offered)} candidates is within --box, --floor and --keep-out; widen them"
+        )
+    if choice.collision is not None:
+        total, within = len(within), arm_free_of_collision(mechanism, within, choice.collision)
+    if len(within) < total:
+        _log.info("%d of %d candidates are within the limits", len(within), total)
+    return within
+
+
+def sampled(
+    mechanism: Mechanism, setup: Setup, count: int, seed: int, margins: Margins | None = None
+) -> Plan:
+    """Return configurations of the workspace, at the points of contacts if the setup has any."""
+    if not setup.contacts:
+        return sample_configurations(mechanism, count, seed, margins)
+    plan, placed = sample_contacts(mechanism, setup, count, seed)
+    planned = [
+        f"{column} {point} at ({', '.join(f'{x:.3g}' for x in contact.points[point] or ())}) m"
+        for column, point, contact in placed.touched.values()
+        if setup.contacts[column].points[point] is None
+    ]
+    if planned:
+        _log.info(
+            "planned with %s: give places in the setup if they are elsewhere", listed(planned)
+        )
+    return plan
+
+
+def _driven(
+    mechanism: Mechanism, plan: Plan, offered: Plan, choice: PlanningOptions, setup: Setup
+) -> Plan:
+    """Return a plan with poses to verify with and distances, in the order in which it is driven."""
+    if choice.verify:
+        plan = with_verification(mechanism, plan, offered, choice.verify, choice.seed)
+        _log.info("%d more poses, in the set 'verify', are kept for verification", choice.verify)
+    rows, blocked = len(plan), choice.blocked(moving_points(mechanism, plan, setup))
+    plan = in_rounds(mechanism, plan, choice.rounds, choice.reference, choice.seed, blocked)
+    if repeated := len(plan) - rows:
+        _log.info("one pose is measured %d times more, as the pose 'reference'", repeated)
+    if blocked.any():
+        ways = np.diagonal(choice.blocked(moving_points(mechanism, plan, setup)), 1)
+        if through := [f"{row + 1} to {row + 2}" for row in np.flatnonzero(ways)]:
+            _log.info("ways through what is kept out: from row %s", listed(through))
+    return with_distances(plan, choice.distances)
+
+
+def with_reading_noise(noise: Noise, mechanism: Mechanism) -> Noise:
+    """Return noise with which more readings than freedoms can agree: exact ones cannot."""
+    if noise.reading or not mechanism.redundant:
+        return noise
+    reading = assumed_noise(mechanism, exact=False).reading
+    size = amount(reading, mechanism.reading_units[0]).replace(" ", "")
+    _log.info("more readings than freedoms cannot all be exact: --noise-reading %s is taken", size)
+    return replace(noise, reading=reading)

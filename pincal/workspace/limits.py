@@ -1,0 +1,155 @@
+"""Where poses may lie: in a box, above a floor, clear of bodies that are kept out.
+
+All of these are convex: a floor is a half-space, a box is six, a mesh counts as its hull. A body is
+the half-spaces A x < b whose common part it is, shifted outward by the clearance; points of the
+machine, and the straight ways of these between poses, stay out of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull
+
+from pincal.errors import FileError, MeasurementError
+from pincal.files.text import in_si
+from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.option import option
+from pincal.model.setup import Setup
+from pincal.types import Array, Mask
+
+_SPACE = dict.fromkeys("xyz", "m")
+_ANY = (-np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where poses may lie; what they keep clear of are points, not the bodies of links."""
+
+    box: str = option(
+        "",
+        "Where the platform's coordinates may lie: 'x=-0.1..0.1, z=1.6..1.8, phi=-20deg..20deg'; "
+        "an end may be left out.",
+        metavar="RANGES",
+    )
+    floor: float | None = option(
+        None,
+        "Height above which the platform, its targets and all joints that move stay [m].",
+        unit="m",
+    )
+    keep_out: tuple[str, ...] = option(
+        (),
+        "Box, as 'x=0.2..0.5, y=0..1', or mesh, as its hull (.stl, .obj, in m), of which they stay "
+        "clear; as often as needed.",
+        metavar="RANGES|MESH",
+    )
+    clearance: float = option(
+        0.0,
+        "Distance kept from floor and --keep-out, at poses and on straight ways between [m].",
+        unit="m",
+    )
+
+    @cached_property
+    def bodies(self) -> list[tuple[Array, Array]]:
+        """What points stay out of: A, shape (k, 3), and b, (k,), of each body.
+
+        Raises:
+            MeasurementError: a range that cannot be read.
+            FileError: a mesh that cannot be read, or has no inside.
+        """
+        bodies = []
+        if self.floor is not None:
+            bodies.append((np.array([[0.0, 0.0, 1.0]]), np.array([self.floor])))
+        for text in self.keep_out:
+            if "=" in text:
+                low, high = np.array([_ranges(text, _SPACE).get(n, _ANY) for n in "xyz"]).T
+                bodies.append((np.vstack((np.eye(3), -np.eye(3))), np.append(high, -low)))
+            else:
+                planes = _hull(Path(text))
+                bodies.append((planes[:, :3], -planes[:, 3]))
+        return [(A, b + self.clearance) for A, b in bodies]
+
+    def allow(self, mechanism: Mechanism, offered: Plan, setup: Setup) -> Mask:
+        """Return which configurations are within the limits, shape (N,).
+
+        Raises:
+            MeasurementError: a range of no coordinate.
+            FileError: a mesh that cannot be read.
+        """
+        platform, within = mechanism.platform, np.ones(len(offered), dtype=bool)
+        ranges = _ranges(self.box, dict(zip(platform.coordinates, platform.units, strict=True)))
+        for name, (low, high) in ranges.items():
+            values = offered.poses[:, platform.coordinates.index(name)]
+            within &= (values >= low) & (values <= high)
+        if self.bodies:
+            points = moving_points(mechanism, offered, setup)
+            for A, b in self.bodies:
+                within &= ~np.any(np.all(points @ A.T < b, axis=2), axis=1)
+        return within
+
+    def blocked(self, points: Array) -> Mask:
+        """Return which straight ways between N configurations lead a point through a body, (N, N).
+
+        Points have shape (N, P, 3).
+        """
+        blocked = np.zeros((len(points), len(points)), dtype=bool)
+        for A, b in self.bodies:
+            heights = points @ A.T  # in it where they are below b
+            for row, begin in enumerate(heights):
+                along, room = heights - begin, b - begin  # in it where t · along < room
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    at = room / along
+                first = np.where(along < 0.0, at, 0.0).max(axis=2).clip(min=0.0)
+                last = np.where(along > 0.0, at, 1.0).min(axis=2).clip(max=1.0)
+                inside = (first < last) & ((along != 0.0) | (room > 0.0)).all(axis=2)
+                blocked[row] |= inside.any(axis=1)
+        return blocked
+
+
+def moving_points(mechanism: Mechanism, plan: Plan, setup: Setup) -> Array:
+    """Return the joints that move, the platform's origin and targets, (N, P, 3), base frame."""
+    plan = as_plan(mechanism, plan)
+    joints, T = joints_at(mechanism, plan).joints, mechanism.platform.matrices(plan.poses)
+    offsets = np.array([(0.0, 0.0, 0.0), *(target.offset for target in setup.targets.values())])
+    tips = T[:, None, :3, 3] + offsets @ T[:, :3, :3].transpose(0, 2, 1)
+    links = [leg.link_placements(joints[leg.name])[:, :, :3, 3] for leg in mechanism.legs]
+    still = [np.ptp(points, axis=0).max(axis=1) == 0.0 for points in links]
+    return np.concatenate((tips, *(p[:, ~s] for p, s in zip(links, still, strict=True))), axis=1)
+
+
+def _ranges(text: str, units: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+    """Return lowest and highest values, SI, by the names in a text ``x=-0.1..0.1, z=..1.8``."""
+    ranges: dict[str, tuple[float, float]] = {}
+    for part in filter(None, map(str.strip, text.split(","))):
+        name, _, ends = (word.strip() for word in part.partition("="))
+        low, dots, high = (word.strip() for word in ends.partition(".."))
+        unit = units.get(name)
+        if not dots or unit is None:
+            raise MeasurementError(
+                f"{part!r} is no range; expected such as 'x=-0.1..0.1' or 'x=-100mm..100mm', of "
+                f"{', '.join(units)}"
+            )
+        ranges[name] = in_si(low or "-inf", unit), in_si(high or "inf", unit)
+        if not ranges[name][0] < ranges[name][1]:
+            raise MeasurementError(f"{part!r}: the lower end comes first")
+    return ranges
+
+
+def _hull(path: Path) -> Array:
+    """Return the planes of a mesh's convex hull, normals outward and offsets, shape (k, 4)."""
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", process=False)
+        return np.asarray(ConvexHull(np.asarray(mesh.vertices)).equations)
+    except Exception as error:  # whatever readers of meshes raise
+        raise FileError(
+            f"--keep-out {path}: neither a box, such as 'x=0.2..0.5, y=0..1', nor a mesh that has "
+            f"an inside: {str(error).strip().partition(chr(10))[0]}"
+        ) from error
