@@ -24,6 +24,8 @@ WHY = {
     "cattrs": "results as plain data and back, bit for bit (`load_result`)",
     "jinja2": "pages (reports, tables, notebooks) from templates that escape what people's files "
     "hold",
+    "joblib": "many machines (`pincal montecarlo`): processes whose answers come in order, or Dask "
+    "in their place",
     "yourdfpy": "second reader of the URDFs that pincal writes (tests); meshes for `pincal view`",
     "trimesh": "meshes of people's URDFs (STL, DAE, OBJ) in `pincal view --meshes`; yourdfpy needs "
     "it, and its reader of DAE, too",
@@ -40,6 +42,9 @@ WHY = {
     "mujoco": "extra `mujoco`: reads MJCF, its own format: defaults, includes, frames, replicas, "
     "all notations of orientations; a reader by hand knew some of them, and lost joints in silence",
     "opencv-python-headless": "extra `camera`: dictionaries of markers, and finding them in photos",
+    "distributed": "extra `cluster`: Dask, the workers of `--scheduler`; others do what one that "
+    "was killed left",
+    "pyarrow": "extra `cluster`: tables of many machines as Parquet",
     "example-robot-data": "tests and examples: twenty and more arms as URDFs with their meshes",
     "hypothesis": "properties and fuzzed files",
     "playwright": "drives Debian's Chromium, which `.ci/run` installs; without one the tests of "

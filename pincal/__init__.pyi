@@ -3,6 +3,7 @@
 from .architectures.new import new_mechanism
 from .architectures.pulley import over_pulley
 from .calibration.calibrate import calibrate, explain
+from .calibration.montecarlo import montecarlo
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
@@ -125,6 +126,7 @@ __all__ = [
     "load_mechanism",
     "load_result",
     "margins",
+    "montecarlo",
     "new_mechanism",
     "over_pulley",
     "picture",

@@ -29,6 +29,7 @@ DONE_BY = {
     "Mechanism._repr_html_": "pincal.show.report.mechanism_html",
     "Mechanism.from_urdf": "pincal.formats.arm.load_arm",
     "Mechanism.save": "pincal.files.mechanism_folders.save_mechanism",
+    "MonteCarlo.__str__": "pincal.show.many.montecarlo_text",
     "Plan.from_csv": "pincal.files.measurements.read_poses",
     "Plan.to_csv": "pincal.files.columns.write_plan",
     "Plan.to_dataframe": "pincal.files.columns.dataframe_of",

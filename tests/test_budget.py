@@ -14,30 +14,30 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 209,
+    "": 210,
     "architectures": 640,
-    "calibration": 6_349,
+    "calibration": 6_805,
     "cli": 2_750,
-    "design": 2_324,
+    "design": 2_330,
     "estimation": 5_049,
     "files": 3_401,
     "formats": 3_620,
     "instruments": 1_581,
     "kinematics": 3_645,
     "model": 3_789,
-    "show": 4_166,
+    "show": 4_223,
     "symmetry": 1_435,
     "words": 873,
     "workspace": 1_626,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 192,
+    "files": 196,
     "page lines": 780,
     "largest folder": 18,
     "vague names": 0.0115,
     "class names twice": 0,
-    "dataclasses": 153,
+    "dataclasses": 157,
     "complex functions": 5,
     "long signatures": 0,
     "imports inside functions": 0,

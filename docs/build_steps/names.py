@@ -15,13 +15,15 @@ GROUPS = {
     "Camera Lens Markers Instrument",
     "Calibration": "calibrate Options Loss CalibrationResult load_result explain "
     "Explanation corrections Corrections deploy",
-    "Simulation": "disturb simulate accuracy",
+    "Simulation": "disturb simulate accuracy montecarlo",
     "Pictures": "picture view",
     "Errors": "PincalError MechanismError MeasurementError ObservabilityError SymmetryError "
     "WorkspaceError FileError",
 }
 #: What functions return, by the module that holds it.
 RETURNED = """
+pincal.calibration.montecarlo.MonteCarlo
+pincal.calibration.montecarlo.Cost
 pincal.calibration.result.IdentifiedParameter
 pincal.calibration.validation.Validation
 pincal.design.forecast.Forecast

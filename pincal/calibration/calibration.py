@@ -122,18 +122,8 @@ class Calibration:
 
     @property
     def priors(self) -> dict[str, float]:
-        """Standard deviations of nominal values: of tolerances by unit, and of single parameters.
-
-        In the order in which they count: a prior is said of a name, or of an id.
-        """
-        by_unit = {} if isinstance(self.options.tolerance, str) else self.options.tolerance
-        amplitudes = self.mechanism.amplitudes
-        tolerances = {
-            parameter.id: by_unit[parameter.unit]
-            for parameter in self.mechanism.parameters
-            if parameter.unit in by_unit and parameter.id not in amplitudes
-        }
-        return {**tolerances, **self.options.priors}
+        """Standard deviations of nominal values: see ``Options.priors_by_name``."""
+        return self.options.priors_by_name(self.mechanism)
 
     @cached_property
     def observation(self) -> Observation:

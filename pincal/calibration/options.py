@@ -14,6 +14,7 @@ from pincal.estimation.system import Loss, LossName, loss_of
 from pincal.files.text import in_si, plain_number
 from pincal.model.checks import counted, must_be
 from pincal.model.measurements import Measurements, Noise
+from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.parameter import Parameter, means
 from pincal.model.setup import Setup, Systematic
@@ -226,6 +227,19 @@ class Options:
                     f"such as l=0.0005 [m] or l=0.5mm{unit}"
                 ) from None
         return priors
+
+    def priors_by_name(self, mechanism: Mechanism) -> dict[str, float]:
+        """Return how far parameters are from nominal, of tolerances by unit, and of single ones.
+
+        One standard deviation, in the order in which they count: by a name, or by an id.
+        """
+        by_unit = {} if isinstance(self.tolerance, str) else self.tolerance
+        tolerances = {
+            parameter.id: by_unit[parameter.unit]
+            for parameter in mechanism.parameters
+            if parameter.unit in by_unit and parameter.id not in mechanism.amplitudes
+        }
+        return {**tolerances, **self.priors}
 
     @property
     def every_pose(self) -> bool:

@@ -18,12 +18,14 @@ from pincal.design.platform_error import (
     seen_of,
     sizes,
 )
+from pincal.design.simulate import platform_errors
 from pincal.estimation.observation import Observation
 from pincal.estimation.unknowns import External
 from pincal.kinematics.batches import least_squares
 from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
 from pincal.model.relations import ORIGIN, ROW
 from pincal.model.terms import Load
 from pincal.types import Array
@@ -31,6 +33,7 @@ from pincal.types import Array
 if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
 
+_BEST_FIT = 1e-6, 1e6  # radii at which frames are aligned for positions, for orientations, [m]
 _SAME = 1e-6  # by which the uncertainty of one pose may differ by rounding
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
 
@@ -203,6 +206,26 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
         return moved, motions, units
 
     return seen
+
+
+def apart(
+    result: CalibrationResult, plan: Plan, model: Mechanism, truth: Mechanism
+) -> tuple[Array, tuple[str, ...]]:
+    """Return where the true machine goes less where a model sends it, and units.
+
+    What is seen of it, as in ``expected_error``, shape (N, r); NaN out of reach. Frames that are
+    not known are aligned as is best for positions, and for orientations.
+    """
+    twists = platform_errors(model, truth, plan)
+    known = np.isfinite(twists).all(axis=1)
+    moved, frames = twists[known, :, None], seen_by(result)
+    (positions, units), (turns, _) = (
+        seen_of(truth, plan.poses[known], moved, frames, radius) for radius in _BEST_FIT
+    )
+    differences = np.full((len(twists), len(units)), np.nan)
+    lengths = np.array([unit == "m" for unit in units])
+    differences[known] = np.where(lengths, positions[:, :, 0], turns[:, :, 0])
+    return differences, units
 
 
 def measured_plan(result: CalibrationResult) -> Plan:

@@ -8,6 +8,7 @@ planned poses, every leg kept taut, and read there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,35 +34,40 @@ from pincal.model.setup import Setup
 from pincal.types import Array, Index
 from pincal.words.numbers import amount
 
-_ERROR = 1e-3  # of a machine: of its size, rad, or 1
+ERROR = 1e-3
+"""Of a machine's parameters if nothing is said: of its size, [rad], or [1]."""
 
 
 def disturb(
-    mechanism: GivenMechanism, sigma: float | None = None, seed: int | np.random.Generator = 0
+    mechanism: GivenMechanism,
+    sigma: float | Mapping[str, float] | None = None,
+    seed: int | np.random.Generator = 0,
 ) -> Mechanism:
     """Return the mechanism with normal errors on every identified parameter.
 
     Args:
         mechanism: The nominal mechanism.
-        sigma: Standard deviation, alike for lengths [m], angles [rad] and gains [1]. If not given,
-            0.001 of the machine's size (its longest leg, stretched) for lengths, 0.001 otherwise.
+        sigma: Standard deviation, alike for lengths [m], angles [rad] and gains [1], or by
+            parameter's id. If not given, 0.001 of the machine's size (its longest leg, stretched)
+            for lengths, 0.001 otherwise.
         seed: Seed or generator.
 
     Raises:
         MeasurementError: a negative or infinite sigma.
     """
     mechanism = as_mechanism(mechanism)
-    of_lengths = mechanism.size if sigma is None else 1.0
-    sigma = _ERROR if sigma is None else number_of(sigma, "sigma", MeasurementError)
-    if not (np.isfinite(sigma) and sigma >= 0.0):
+    parameters, rng = mechanism.parameters, generator_of(seed, MeasurementError)
+    scales, of_lengths = np.ones(len(parameters)), mechanism.size if sigma is None else 1.0
+    if isinstance(sigma, Mapping):
+        scales, sigma = np.array([sigma.get(id_, 0.0) for id_ in parameters.ids]), 1.0
+    else:
+        scales[[p.unit == "m" for p in parameters]] = of_lengths
+        sigma = ERROR if sigma is None else number_of(sigma, "sigma", MeasurementError)
+    if not (np.isfinite(scales * sigma).all() and (scales * sigma >= 0.0).all()):
         raise MeasurementError(f"the disturbance is {sigma}; expected 0 or more")
-    rng = generator_of(seed, MeasurementError)
-    errors = {}
-    for leg in mechanism.legs:
-        lengths = [leg.units[name] == "m" for name in leg.parameter_names]
-        drawn = sigma * rng.standard_normal(len(leg.parameters))
-        errors[leg.name] = leg.nominal + np.where(lengths, of_lengths, 1.0) * drawn
-    return mechanism.with_parameters(errors)
+    errors = scales * (sigma * rng.standard_normal(len(scales)))
+    values = (parameters.values + errors).tolist()
+    return mechanism.with_parameters(dict(zip(parameters.ids, values, strict=True)))
 
 
 @dataclass(frozen=True, repr=False)

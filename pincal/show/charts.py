@@ -15,11 +15,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
+from pincal.calibration.promise import apart
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import LegResult
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.model.measurements import Plan
-from pincal.show.misses import apart, camera_misses, level_poses, noisy_residuals
+from pincal.show.misses import camera_misses, level_poses, noisy_residuals
 from pincal.show.pictures.picture import shortened
 from pincal.show.style import EVERY, GROUND, INK, OUTLIER, leg_colour
 from pincal.show.view.scene import rounded_down
@@ -166,7 +167,8 @@ class Plots:
             raise WorkspaceError("no map: a bed needs a platform that moves in x, y and z")
         x, y, _, poses, inside = level_poses(self.result, at_home=True)
         heights = np.full(inside.shape, np.nan)
-        heights[inside] = apart(self.result, Plan(poses[inside]))[0][:, 2]
+        before, after = self.result.begun, self.result.identified
+        heights[inside] = apart(self.result, Plan(poses[inside]), before, after)[0][:, 2]
         heights *= per_si("m")
         most = float(np.nanmax(np.abs(heights)))
         _draw_map(ax, x, y, heights, "z, true less commanded", cmap="RdBu_r", vmin=-most, vmax=most)

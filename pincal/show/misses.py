@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.calibration.promise import by_target, errors_inside, measured_plan, seen_by
+from pincal.calibration.promise import apart, by_target, errors_inside, measured_plan
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import ResidualGroup
 from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
-from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import External, State
@@ -34,7 +33,6 @@ from pincal.workspace.sampling import sample_configurations
 _SAMPLES, _FEW_SAMPLES = 1000, 300  # of the workspace
 _ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
 _MEASURED = "measured poses"
-_BEST_FIT = 1e-6, 1e6  # radii at which frames are aligned for positions, for orientations, [m]
 _MENTIONED = 0.01  # share of the workspace outside the measured region, below which it is not said
 
 
@@ -206,26 +204,8 @@ def errors_at(
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
     plan = as_plan(result.nominal, planned)
     expected, inside = errors_inside(result, plan)
-    moved, units = apart(result, plan)
+    moved, units = apart(result, plan, result.begun, result.identified)
     return WorkspaceErrors(plan.poses, sizes(units, moved), expected, inside, region)
-
-
-def apart(result: CalibrationResult, plan: Plan) -> tuple[Array, tuple[str, ...]]:
-    """Return where the identified machine goes less where the nominal one sends it, and units.
-
-    What is seen of it, as in ``expected_error``, shape (N, r); NaN out of reach. Frames that are
-    not known are aligned as is best for positions, and for orientations.
-    """
-    twists = platform_errors(result.begun, result.identified, plan)
-    known = np.isfinite(twists).all(axis=1)
-    moved, frames = twists[known, :, None], seen_by(result)
-    (positions, units), (turns, _) = (
-        seen_of(result.identified, plan.poses[known], moved, frames, radius) for radius in _BEST_FIT
-    )
-    differences = np.full((len(twists), len(units)), np.nan)
-    lengths = np.array([unit == "m" for unit in units])
-    differences[known] = np.where(lengths, positions[:, :, 0], turns[:, :, 0])
-    return differences, units
 
 
 def noise_of_misses(result: CalibrationResult) -> dict[str, float]:

@@ -1,0 +1,184 @@
+"""Many machines: their errors are as linear theory says, whoever makes the rows, and how often."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import done
+
+import pincal
+from pincal.calibration.many import Row, RowFile, Workers, add_rows
+from pincal.calibration.montecarlo import MonteCarlo
+from pincal.design.platform_error import platform_error
+
+NOISE = pincal.Noise(position=2e-5, reading=1e-6)
+TYPED = ("--noise-position", "20um", "--noise-reading", "1e-6", "--tolerance", "0.1mm,1mrad,0.001")
+OPTIONS = pincal.Options(tolerance="0.1mm,1mrad,0.001", noise=NOISE)
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve poses of a five-bar."""
+    path = tmp_path_factory.mktemp("plan") / "plan.csv"
+    pincal.sample_configurations("5R", 12, 1).to_csv(path, "5R")
+    return path
+
+
+def third(number: int) -> Row:
+    """Return a row, or fail."""
+    if number == 2:
+        raise pincal.MeasurementError("two is\nmissing")
+    return {"x": number / 3}
+
+
+def test_rows_are_made_once_and_go_on_where_they_ended(tmp_path: Path) -> None:
+    """A table cut anywhere is made whole again, to the byte; failures say why, others refuse."""
+    items, path = [(number,) for number in range(5)], tmp_path / "t.csv"
+    file = RowFile(path, {"number": int, "failure": str, "x": float})
+    columns = add_rows(third, items, file, Workers(1))
+    assert columns["failure"].tolist() == ["", "", "two is missing", "", ""]
+    np.testing.assert_array_equal(columns["x"], [0.0, 1 / 3, np.nan, 1.0, 4 / 3])
+    text = path.read_bytes()
+    for cut in range(len(text)):
+        path.write_bytes(text[:cut])
+        add_rows(third, items, file, Workers(1))
+        assert path.read_bytes() == text
+    with pytest.raises(pincal.FileError, match="other rows"):
+        add_rows(lambda number: {"x": number / 4}, items[1:], file, Workers(1))
+    with pytest.raises(pincal.FileError, match="other columns"):
+        add_rows(third, items, RowFile(path, {"number": int, "failure": str}), Workers(1))
+    assert path.read_bytes() == text
+
+
+def test_a_study_says_first_what_calibrated_machines_reach(plan: Path, tmp_path: Path) -> None:
+    """One number first, the next command last; the same rows by the command and in Python."""
+    outcome = done("montecarlo", "5R", plan, *TYPED, "--machines", 2, "-o", tmp_path / "t.csv")
+    assert outcome.out.startswith("✓ 5R: 95 % of calibrated machines are within 0.0")
+    assert outcome.out.splitlines()[-1].startswith("next: pincal ")
+    lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
+    machine = pincal.load_mechanism("5R")
+    workspace = pincal.sample_configurations(machine, 200)
+    drawn = MonteCarlo(machine, pincal.Plan.from_csv(plan, machine), workspace, NOISE, OPTIONS)
+    assert float(lines[2].split(",")[3]) == drawn.row(1)["chi2"]
+
+
+@pytest.mark.slow
+def test_errors_are_those_of_linear_propagation(plan: Path) -> None:
+    """Mean squares before and after are GΣGᵀ of central differences and of the Cramér–Rao bound."""
+    machine, count = pincal.load_mechanism("5R"), 200
+    workspace = pincal.sample_configurations(machine, 50, 2)
+    study = pincal.montecarlo(
+        machine, plan, count, workers=2, noise=NOISE, options=OPTIONS, workspace=workspace
+    )
+    before, after = np.mean(study.known**2, axis=1)
+
+    def moved(id_: str, step: float) -> np.ndarray:
+        off = machine.with_parameters({id_: machine.parameters[id_].nominal + step})
+        readings = pincal.inverse(machine, workspace.poses).readings
+        return pincal.forward(off, readings, workspace.poses).poses
+
+    parts = {
+        id_: np.mean(np.sum((moved(id_, sigma) - moved(id_, -sigma)) ** 2, axis=1)) / 4.0
+        for id_, sigma in study.sigmas.items()
+    }
+    spread = np.sqrt(2.0 / count)  # of a square of one normal number: more than of a sum of them
+    assert before == pytest.approx(sum(parts.values()), rel=4.0 * spread)
+    poses = pincal.Plan.from_csv(plan, machine)
+    information = np.linalg.inv(pincal.forecast(machine, poses, NOISE).covariance)
+    prior = np.diag([study.sigmas[id_] ** -2.0 for id_ in machine.parameters.ids])
+    bound = platform_error(machine, np.linalg.inv(information + prior), workspace).position
+    assert after == pytest.approx(bound**2, rel=4.0 * spread)
+    for cost in study.costs():
+        share = sum(part for id_, part in parts.items() if id_.endswith(f".{cost.name}"))
+        assert cost.before == pytest.approx(share / sum(parts.values()), abs=0.01)
+
+
+@pytest.mark.slow
+def test_what_is_not_calibrated_costs_its_tolerance(plan: Path) -> None:
+    """Held parameters make what is left; with all of them free, the noise does."""
+    errors = {}
+    for fixed in ((), ("l",)):
+        options = pincal.Options(tolerance={"m": 1e-3, "rad": 1e-3}, fixed=fixed)
+        study = pincal.montecarlo("5R", plan, 40, workers=2, noise=NOISE, options=options)
+        errors[fixed] = {cost.name: cost.after for cost in study.costs()}
+    assert max(errors[()].values()) < 0.1
+    assert max(errors["l",], key=errors["l",].__getitem__) == "l"
+    assert errors["l",]["l"] > 0.5
+
+
+@pytest.mark.slow
+def test_any_number_of_workers_gives_the_same_table(plan: Path, tmp_path: Path) -> None:
+    """One and two processes, and two workers of Dask, one of them killed: equal to the last digit.
+
+    Parquet holds the same numbers as CSV.
+    """
+    distributed = pytest.importorskip("distributed")
+    pandas = pytest.importorskip("pandas")
+
+    def made(name: str, progress: Any = None, **workers: Any) -> Path:
+        study = {"noise": NOISE, "options": replace(OPTIONS, progress=progress), **workers}
+        pincal.montecarlo("5R", plan, 30, tmp_path / name, **study)
+        return tmp_path / name
+
+    texts = [made(f"{count}.csv", workers=count).read_bytes() for count in (1, 2)]
+    assert texts[0] == texts[1]
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    )
+    with cluster:
+        victims = [worker.pid for worker in cluster.workers.values()]
+
+        def kill_one(text: str) -> None:
+            if int(text.split()[0]) > 10 and victims:
+                os.kill(victims.pop(), signal.SIGKILL)
+                victims.clear()
+
+        made("dask.csv", kill_one, scheduler=cluster.scheduler_address)
+        assert not victims
+    assert (tmp_path / "dask.csv").read_bytes() == texts[0]
+    frame = pandas.read_parquet(made("rows.parquet", workers=2))
+    with (tmp_path / "1.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    for name in ("after [m]", "leg_1.l [m]"):
+        assert frame[name].tolist() == [float(row[name]) for row in rows]
+
+
+@pytest.mark.slow
+def test_killed_processes_are_done_again(plan: Path, tmp_path: Path) -> None:
+    """A worker that is killed stops nothing; a killed command goes on, to the same bytes."""
+    typed = ["montecarlo", "5R", plan, *TYPED, "--machines", 40, "-o"]
+    done(*typed, tmp_path / "whole.csv")
+    for victim in ("command", "worker"):
+        table = tmp_path / f"{victim}.csv"
+        words = [sys.executable, "-m", "pincal", *map(str, typed), str(table), "--workers", "2"]
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, start_new_session=True)
+        while not table.exists() or table.read_bytes().count(b"\n") < 10:
+            time.sleep(0.02)
+        if victim == "command":
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            assert table.read_bytes().count(b"\n") < 41
+            done(*typed, table)
+        else:
+            with suppress(ProcessLookupError):
+                os.kill(_worker_of(process.pid), signal.SIGKILL)
+            assert process.wait() == 0
+        assert table.read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
+def _worker_of(pid: int) -> int:
+    """Return a process that makes rows for another."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    lines = {int(child): Path(f"/proc/{child}/cmdline").read_bytes() for child in children}
+    return next(child for child, line in lines.items() if b"popen_loky" in line)
