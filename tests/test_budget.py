@@ -4,36 +4,35 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-from tools.counts import Counts, count, count_revision, main  # noqa: E402
+from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
     "": 210,
     "architectures": 640,
     "calibration": 6_805,
-    "cli": 2_750,
+    "cli": 2_711,
     "design": 2_330,
-    "estimation": 5_049,
-    "files": 3_401,
-    "formats": 3_620,
+    "estimation": 5_047,
+    "files": 3_406,
+    "formats": 3_579,
     "instruments": 1_581,
-    "kinematics": 3_645,
+    "kinematics": 3_629,
     "model": 3_789,
-    "show": 4_223,
-    "symmetry": 1_435,
+    "show": 4_222,
+    "symmetry": 1_433,
     "words": 873,
     "workspace": 1_626,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
     "files": 196,
-    "page lines": 780,
+    "page lines": 778,
     "largest folder": 18,
     "vague names": 0.0115,
     "class names twice": 0,
@@ -44,21 +43,14 @@ MOST = {
 }
 
 
-@cache
-def source() -> Counts:
-    """Return the counts of this source tree."""
-    return count(ROOT)
-
-
-@pytest.mark.parametrize("room", sorted(source().rooms))
-def test_room_is_within_its_lines(room: str) -> None:
-    """No room has more lines than its budget."""
-    assert source().rooms[room][0] <= LINES.get(room, 0)
-
-
 def test_source_is_within_its_budget() -> None:
-    """No measure of the source is above its limit; what was counted: ``tools.counts --list``."""
-    counts = source()
+    """No room has more lines than its budget, no measure of the source is above its limit.
+
+    What was counted: ``tools.counts --list``.
+    """
+    counts = count(ROOT)
+    rooms = {room: lines for room, (lines, _) in counts.rooms.items()}
+    assert {room: lines for room, lines in rooms.items() if lines > LINES.get(room, 0)} == {}
     measured = {
         "files": counts.files,
         "page lines": counts.page_lines,
@@ -96,7 +88,7 @@ class Thing:
 
 
 def test_counts_of_a_tree_counted_by_hand(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every measure is that of a small tree counted by hand; the same of a git revision."""
     for name, text in (
@@ -122,5 +114,6 @@ def test_counts_of_a_tree_counted_by_hand(
     ):
         subprocess.run(["git", *command], cwd=tmp_path, check=True)
     assert count_revision(tmp_path, "HEAD").table() == counts.table()
+    monkeypatch.setattr("tools.counts.count", lambda _: counts)
     assert main(["--list"]) == 0
-    assert "vague names" in capsys.readouterr().out
+    assert "\n  thing (2)\n" in capsys.readouterr().out

@@ -184,6 +184,11 @@ def read_table(source: Any) -> TextTable:
         raise MeasurementError(
             f"{path}: {suffix} files are not read; save the table as {_OTHER_KINDS[suffix]}"
         )
+    return _of_csv(path)
+
+
+def _of_csv(path: Path) -> TextTable:
+    """Return the table of a CSV file, cells separated by what its header has."""
     text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True, otherwise="cp1252")
     begun = [line for line in text.splitlines() if line.strip()][:_MOST_TITLES]
     head = next((line for line in begun if "[" in line), next(iter(begun), ""))

@@ -194,10 +194,9 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
         sizes = zip(errors.mean_before(), errors.mean_after(), errors.inside.limit, strict=True)
         for unit, (before, after, limit) in zip(("m", "rad"), sizes, strict=True):
             below = f"{number(after, unit)} (≤ {number(limit, unit)})"
+            shown = below if result.promises else f"≥ {number(after, unit)}" * (not missed)
             rows.setdefault("nominal", {})[unit] = number(before, unit)
-            if result.promises or not missed:
-                shown = below if result.promises else f"≥ {number(after, unit)}"
-                rows.setdefault("calibrated", {})[unit] = shown
+            rows.setdefault("calibrated", {})[unit] = shown
     if missed:
         rows["unseen"] = {unit: number(size, unit) for unit, size in missed.items()}
         if by_hand_eye := hand_eye_misses(result):
@@ -206,7 +205,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     return Table(
         f"RMS error{region}",
         ["", *(f"{ERRORS[unit]} [{SMALL[unit]}]" for unit in units)],
-        [[head, *(row.get(unit) for unit in units)] for head, row in rows.items()],
+        [[h, *(row.get(unit) for unit in units)] for h, row in rows.items() if any(row.values())],
     )
 
 
