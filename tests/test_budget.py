@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 210,
     "architectures": 640,
-    "calibration": 6_805,
+    "calibration": 6_813,
     "cli": 2_711,
     "design": 2_330,
     "estimation": 5_047,
@@ -24,7 +24,7 @@ LINES = {
     "instruments": 1_581,
     "kinematics": 3_629,
     "model": 3_789,
-    "show": 4_222,
+    "show": 4_340,
     "symmetry": 1_433,
     "words": 873,
     "workspace": 1_626,
@@ -32,7 +32,7 @@ LINES = {
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
     "files": 196,
-    "page lines": 778,
+    "page lines": 956,
     "largest folder": 18,
     "vague names": 0.0115,
     "class names twice": 0,

@@ -177,11 +177,19 @@ class Session:
         place = self.journal.columns.index("row")
         return [int(row[place]) - 1 for row in self.journal.rows]
 
+    @property
+    def questioned(self) -> bool:
+        """Whether the last row is off, and to be kept or undone."""
+        return self.checked is not None and self.checked.off
+
     def next_pose(self) -> tuple[int, float]:
         """Return the row of the plan to measure next, and by what share errors then fall.
 
-        After what is enough those reserved for verification come, then the others.
+        That of the last row while it is questioned. After what is enough those reserved for
+        verification come, then the others.
         """
+        if self.questioned:
+            return self.measured[-1], 0.0
         fresh = np.setdiff1d(np.arange(len(self.plan)), self.measured)
         reserved = fresh[self.plan.verifying[fresh]]
         if self.enough and len(reserved):

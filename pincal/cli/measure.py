@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-import re
 import socket
 import sys
 import time
+import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Event, Lock
 from typing import Annotated, TextIO
 
 import typer
@@ -25,7 +26,8 @@ from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
 from pincal.files.table import write_table
 from pincal.model.option import option
-from pincal.show.measuring import parameters, progress, set_points, verdict_on_row
+from pincal.show.measuring import obeyed, parameters, progress, responding, set_points
+from pincal.show.view.view import PageServer
 from pincal.words.numbers import percent
 
 _CANDIDATES = 500  # poses, where no plan is given
@@ -49,7 +51,8 @@ class SourceOptions:
         "Poses to choose from, of 'pincal select'; else 500 are sampled from the workspace.",
         metavar="PLAN.csv",
     )
-    terminal: bool = option(False, "Stay in the terminal.")
+    terminal: bool = option(False, "Stay in the terminal, without a page.")
+    open: bool = option(True, "Print the address without opening a browser.")
     follow: Path | None = option(None, "Take each line that a file grows by.", metavar="FILE")
     tcp: str | None = option(
         None, "Send set points as a line of JSON, take the line that answers.", metavar="HOST:PORT"
@@ -75,7 +78,8 @@ def measure(
     Says which pose to drive to, takes what was measured there, checks it at once, and says what
     error to expect and how many more poses it takes to --accuracy. FOLDER holds the plan and
     rows.csv, which 'pincal calibrate' reads; every row is on disk before it is shown. Stopped at
-    any moment, the session goes on by the same command.
+    any moment, the session goes on by the same command. On a page that is served to this machine
+    alone, until Ctrl-C, or in the terminal.
     """
     mechanism, setup = pincal.load_mechanism(mech), options.read_setup()
     with working("looking at the poses"):
@@ -93,7 +97,10 @@ def measure(
         )
     try:
         with _source(source) as ask:
-            _in_terminal(opened, ask, source.pattern)
+            if source.terminal:
+                _in_terminal(opened, ask, source.pattern)
+            else:
+                _on_page(opened, ask, source)
     except (KeyboardInterrupt, EOFError):
         pass
     finally:
@@ -120,39 +127,6 @@ def _plan(
             raise FileError(f"cannot make {path.parent}: {error.strerror or error}") from error
         write_table(path, columns_of(mechanism, plan))
     return read_poses(path, mechanism, setup=setup)
-
-
-def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str, str]:
-    """Return the cells of a line: JSON, groups of a pattern, or numbers in order.
-
-    Raises:
-        MeasurementError: a line that is none of these, or has another number of numbers.
-    """
-    line = line.strip()
-    if pattern is not None:
-        match = re.search(pattern, line)
-        if match is None:
-            raise MeasurementError(f"the line {line!r} does not match --pattern {pattern}")
-        if named := match.groupdict():
-            return {name: cell or "" for name, cell in named.items()}
-        cells = [cell or "" for cell in match.groups()]
-    elif line.startswith("{"):
-        try:
-            return {name: str(value) for name, value in json.loads(line).items()}
-        except ValueError as error:
-            raise MeasurementError(f"{line!r} is no JSON: {error}") from error
-    else:
-        parts = re.split(r"\s*[;\s]\s*", line)  # a comma may then be a decimal one
-        cells = line.split(",")
-        if len(parts) > 1:
-            cells = [part.strip(",").replace(",", ".") for part in parts]
-    for columns in (session.observed, session.columns):
-        if len(cells) == len(columns):
-            return dict(zip(columns, cells, strict=True))
-    raise MeasurementError(
-        f"{len(cells)} numbers; expected {', '.join(session.observed)}, or all of "
-        f"{', '.join(session.columns)}"
-    )
 
 
 @contextmanager
@@ -209,20 +183,31 @@ def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None
     while not (ask and session.enough):
         row, gain = session.next_pose()
         row = row if chosen is None else chosen
-        questioned = session.checked is not None and session.checked.off
-        if questioned and ask and not sys.stdin.isatty():  # what comes twice is no slip
+        if session.questioned and ask and not sys.stdin.isatty():  # what comes twice is no slip
             line, repeated = "k" if repeated else "u", not repeated
-        elif questioned:
+        elif session.questioned:
             line = input("u: undo it, k: keep it > ")
         else:
             points = _shown(session, row, gain)
             line = ask(points) if ask else input("> ")
-        try:
-            chosen = _obeyed(session, line, row, pattern)
-        except MeasurementError as error:
-            if ask:
-                raise
-            warn(str(error))
+        match line.split():
+            case []:
+                pass
+            case ["q"]:
+                return
+            case ["p"]:
+                stdout.print(parameters(session) or "nothing is known yet")
+            case ["r", number] if number.isdecimal() and 0 < int(number) <= len(session.plan):
+                chosen = int(number) - 1
+                continue
+            case _:
+                try:
+                    say(*filter(None, (obeyed(session, line, row, pattern), *progress(session))))
+                    chosen = None
+                except MeasurementError as error:
+                    if ask:
+                        raise
+                    warn(str(error))
 
 
 def _shown(session: Session, row: int, gain: float) -> dict[str, float]:
@@ -234,30 +219,23 @@ def _shown(session: Session, row: int, gain: float) -> dict[str, float]:
     return points
 
 
-def _obeyed(session: Session, line: str, row: int, pattern: str | None) -> int | None:
-    """Do what a line says at a row of the plan; return the row that it chooses, if it does.
-
-    Raises:
-        EOFError: it says to leave.
-        MeasurementError: it is no measurement.
-    """
-    match line.split():
-        case []:
-            return row
-        case ["q"]:
-            raise EOFError
-        case ["u"]:
-            session.undo()
-        case ["k"]:
-            session.keep()
-        case ["s"]:
-            session.skip(row)
-        case ["p"]:
-            stdout.print(parameters(session) or "nothing is known yet")
-            return row
-        case ["r", number] if number.isdecimal() and 0 < int(number) <= len(session.plan):
-            return int(number) - 1
-        case _:
-            say(verdict_on_row(session.add(parsed(line, session, pattern), row)))
-    say(*progress(session))
-    return None
+def _on_page(session: Session, ask: Ask | None, options: SourceOptions) -> None:
+    """Serve the page, on which somebody measures, or watches a source."""
+    lock = Lock()
+    server = PageServer(responding(session, options.pattern, lock))
+    say(server.url)
+    sys.stdout.flush()
+    if options.open and not webbrowser.open(server.url):
+        warn("no browser opened; open the address above in one")
+    try:
+        while ask and not session.enough:
+            if session.questioned:  # on the page
+                time.sleep(_WAIT)
+                continue
+            row, _ = session.next_pose()
+            line = ask(set_points(session, row))
+            with lock:
+                obeyed(session, line, row, options.pattern)
+        Event().wait()
+    finally:
+        server.close()

@@ -1,16 +1,25 @@
-"""What a session says: where to drive, what of the last row, how far it is."""
+"""What a session says and is told: lines in a terminal, posted by a page, from an instrument."""
 
 from __future__ import annotations
 
+import json
+import re
+from collections.abc import Mapping
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from pincal.calibration.session import PLANNED, Checked, Session
+from pincal.errors import FileError, MeasurementError
 from pincal.model.checks import counted
+from pincal.show.pictures.files import figure_bytes
+from pincal.show.pictures.picture import picture
+from pincal.show.view.view import Respond
 from pincal.words.faults import causes
 from pincal.words.numbers import amount, percent
 from pincal.words.table import Table
+from pincal.words.wording import rendered
 
 _NUMBERED = 1e4  # σ from which a number of them says nothing
 
@@ -79,6 +88,91 @@ def parameters(session: Session) -> Table | None:
     return session.result.tables()[0]
 
 
+def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str, str]:
+    """Return the cells of a line: JSON, groups of a pattern, or numbers in order.
+
+    Raises:
+        MeasurementError: a line that is none of these, or has another number of numbers.
+    """
+    line = line.strip()
+    if pattern is not None:
+        match = re.search(pattern, line)
+        if match is None:
+            raise MeasurementError(f"the line {line!r} does not match --pattern {pattern}")
+        if named := match.groupdict():
+            return {name: cell or "" for name, cell in named.items()}
+        cells = [cell or "" for cell in match.groups()]
+    elif line.startswith("{"):
+        try:
+            return {name: str(value) for name, value in json.loads(line).items()}
+        except ValueError as error:
+            raise MeasurementError(f"{line!r} is no JSON: {error}") from error
+    else:
+        parts = re.split(r"\s*[;\s]\s*", line)  # a comma may then be a decimal one
+        cells = line.split(",")
+        if len(parts) > 1:
+            cells = [part.strip(",").replace(",", ".") for part in parts]
+    for columns in (session.observed, session.columns):
+        if len(cells) == len(columns):
+            return dict(zip(columns, cells, strict=True))
+    raise MeasurementError(
+        f"{len(cells)} numbers; expected {', '.join(session.observed)}, or all of "
+        f"{', '.join(session.columns)}"
+    )
+
+
+def obeyed(session: Session, line: str, row: int, pattern: str | None = None) -> str:
+    """Do what a line says at a row of the plan; return what is to be said of it.
+
+    ``u`` undoes the last row, ``k`` keeps it, ``s`` skips the pose; all else was measured there.
+
+    Raises:
+        MeasurementError: it is no measurement.
+        FileError: it cannot be written.
+    """
+    match line.split():
+        case ["u"]:
+            session.undo()
+        case ["k"]:
+            session.keep()
+        case ["s"]:
+            session.skip(row)
+        case _:
+            return verdict_on_row(session.add(parsed(line, session, pattern), row))
+    return ""
+
+
+def responding(session: Session, pattern: str | None, lock: Lock) -> Respond:
+    """Return what serves the page of a session; others take the lock to change it."""
+
+    def respond(path: str, query: Mapping[str, str], posted: str) -> tuple[str, str | bytes] | None:
+        if path == "/":
+            return "text/html", rendered("measure.html", title=session.mechanism.name)
+        if path == "/picture":
+            pose = session.plan.rows(np.array([int(query["row"])]))
+            return "image/svg+xml", figure_bytes(picture(session.mechanism, pose).figure(), "svg")
+        if path != "/state":
+            return None
+        trouble = ""
+        with lock:
+            if posted and (order := json.loads(posted))["version"] == version(session):
+                try:
+                    obeyed(session, order["line"], order["row"], pattern)
+                except (MeasurementError, FileError) as error:
+                    trouble = str(error)
+            elif posted:
+                trouble = "another window was quicker; this is what is there now. Enter it again"
+            return "application/json", json.dumps({**state(session), "trouble": trouble})
+
+    return respond
+
+
+def version(session: Session) -> str:
+    """Return what differs once anything was done in a session."""
+    offered, rows = session.candidates.offered.sum(), session.journal.rows
+    return f"{len(rows)} {rows[-1:]} {session.questioned} {offered}"
+
+
 def state(session: Session) -> dict[str, Any]:
     """Return all that a page shows of a session."""
     row, gain = session.next_pose()
@@ -100,7 +194,8 @@ def state(session: Session) -> dict[str, Any]:
         "pose": [point for point in points if point[0] not in readings],
         "columns": session.columns,
         "observed": session.observed,
-        "off": checked is not None and checked.off,
+        "off": session.questioned,
+        "version": version(session),
         "verdict": "" if checked is None else verdict_on_row(checked),
         "progress": progress(session),
         "enough": session.enough,

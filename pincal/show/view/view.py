@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from http import HTTPStatus
 from pathlib import Path
 from threading import Event, Thread
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qsl, urlsplit
 from weakref import finalize
 
 import numpy as np
@@ -32,6 +32,7 @@ from pincal.show.view.page import answer, page
 from pincal.show.view.scene import Scene, calibrated, scene
 from pincal.workspace.sampling import sample_configurations
 
+_LONGEST = 100_000  # bytes that are posted
 PATIENCE = 10.0  # seconds in which a client must say what it asks for, and take the answer
 
 
@@ -72,7 +73,7 @@ class View(Page):
     @cached_property
     def url(self) -> str:
         """Where browsers of this machine find the page, until ``close`` or the process ends."""
-        server = PageServer(self.scene, page(self.scene, self._notices, served=True))
+        server = PageServer(responding(self.scene, page(self.scene, self._notices, served=True)))
         self._close = finalize(self, server.close)
         return server.url
 
@@ -128,17 +129,36 @@ def _some_poses(mechanism: Mechanism) -> Plan:
     return Plan(np.concatenate((home.poses, sampled.poses)), readings=readings)
 
 
+Respond = Callable[[str, Mapping[str, str], str], tuple[str, str | bytes] | None]
+"""Returns kind and content at a path with a query, by what was posted, empty if nothing was; None
+if no such page is there. Raises ValueError, KeyError or TypeError if that cannot be answered."""
+
+
+def responding(scene: Scene, text: str) -> Respond:
+    """Return what serves the page of a scene, and the scene off its poses."""
+
+    def respond(path: str, query: Mapping[str, str], posted: str) -> tuple[str, str] | None:
+        if path == "/" and not posted:
+            return "text/html", text
+        if path != "/moved" or posted:
+            return None
+        row = range(len(scene.plan.poses)).index(int(query["row"]))
+        return "application/json", answer(scene, row, np.array(query["by"].split(","), float))
+
+    return respond
+
+
 class PageServer:
-    """Serves one page, and what it asks for, on a free port of 127.0.0.1 until it is closed.
+    """Serves pages on a free port of 127.0.0.1 until it is closed.
 
     One thread serves all clients, however many of them say nothing. Requests under another host's
-    name are refused, so that a page elsewhere whose name is made to resolve to this machine cannot
-    read it.
+    name, or from another's page, are refused, so that a page elsewhere whose name is made to
+    resolve to this machine can neither read nor write.
     """
 
-    def __init__(self, scene: Scene, text: str) -> None:
-        """Begin to serve the page of a scene."""
-        self._scene, self._content = scene, text.encode()
+    def __init__(self, respond: Respond) -> None:
+        """Begin to serve."""
+        self._respond = respond
         self._listening = Event()
         self._thread = Thread(target=lambda: asyncio.run(self._run()), daemon=True)
         self._thread.start()  # in a notebook this thread's own loop runs already
@@ -162,7 +182,12 @@ class PageServer:
         """Answer the one request of a client, or hang up if it does not come."""
         try:
             request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
-            status, kind, content = self._response(request.decode("latin-1"))
+            first, *lines = request.decode("latin-1").splitlines()
+            parts = (line.partition(":") for line in lines)
+            headers = {name.lower(): value.strip() for name, _, value in parts}
+            length = min(int("0" + headers.get("content-length", "")), _LONGEST)
+            posted = await asyncio.wait_for(reader.readexactly(length), PATIENCE)
+            status, kind, content = self._response(first, headers, posted.decode())
             head = (
                 f"HTTP/1.0 {status.value} {status.phrase}",
                 f"Content-Type: {kind}; charset=utf-8",
@@ -173,33 +198,31 @@ class PageServer:
             )
             writer.write("\r\n".join((*head, "\r\n")).encode() + content)
             await asyncio.wait_for(writer.drain(), PATIENCE)
-        except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+        except (OSError, ValueError, TimeoutError, EOFError, asyncio.LimitOverrunError):
             pass  # the client went away, or asked for nothing
         finally:
             writer.close()
 
-    def _response(self, request: str) -> tuple[HTTPStatus, str, bytes]:
-        """Return status, kind and content of the answer to a request's lines."""
-        first, *headers = request.splitlines()
-        method, _, target = first.partition(" ")
-        host = next((line[5:].strip() for line in headers if line.lower().startswith("host:")), "")
-        address = urlsplit(target.partition(" ")[0])
-        if method != "GET":
-            return HTTPStatus.NOT_IMPLEMENTED, "text/plain", b"only GET"
+    def _response(
+        self, first: str, headers: Mapping[str, str], posted: str
+    ) -> tuple[HTTPStatus, str, bytes]:
+        """Return status, kind and content of the answer to a request."""
+        method, target, *_ = [*first.split(" "), "", ""]
+        address, host = urlsplit(target), headers.get("host")
+        if method not in ("GET", "POST"):
+            return HTTPStatus.NOT_IMPLEMENTED, "text/plain", b"only GET and POST"
         if host not in self._hosts:
             return HTTPStatus.MISDIRECTED_REQUEST, "text/plain", b"not under this name"
-        if address.path == "/":
-            return HTTPStatus.OK, "text/html", self._content
-        if address.path != "/moved":
-            return HTTPStatus.NOT_FOUND, "text/plain", b"no such page"
+        if headers.get("origin", f"http://{host}") != f"http://{host}":
+            return HTTPStatus.FORBIDDEN, "text/plain", b"not from another's page"
         try:
-            query = parse_qs(address.query)
-            row = range(len(self._scene.plan.poses)).index(int(query["row"][0]))
-            shift = np.array(query["by"][0].split(","), dtype=np.float64)
-            content = answer(self._scene, row, shift)
-        except (ValueError, KeyError):
-            return HTTPStatus.BAD_REQUEST, "text/plain", b"not a pose and how to move it"
-        return HTTPStatus.OK, "application/json", content.encode()
+            answered = self._respond(address.path, dict(parse_qsl(address.query)), posted)
+        except (ValueError, KeyError, TypeError):
+            return HTTPStatus.BAD_REQUEST, "text/plain", b"not what this page asks for"
+        if answered is None:
+            return HTTPStatus.NOT_FOUND, "text/plain", b"no such page"
+        kind, content = answered
+        return HTTPStatus.OK, kind, content.encode() if isinstance(content, str) else content
 
     def close(self) -> None:
         """Stop serving."""
