@@ -338,7 +338,7 @@ def curvature(fit: Fit) -> float:
     size = np.where(size > 0.0, size, 1.0)  # so that draws are the same in any unit
     values, axes = np.linalg.eigh(fit.covariance / np.outer(size, size))
     root = size[:, None] * axes * np.sqrt(values.clip(0.0))
-    by_priors, axes = np.linalg.eigh(root.T @ (root / fit.unknowns.priors[:, None] ** 2))
+    by_priors, axes = np.linalg.eigh((part := root / fit.unknowns.priors[:, None]).T @ part)
     root = root @ (axes * (by_priors < _BY_PRIORS))
     bent = straight = 0.0
     for draw in np.random.default_rng(0).standard_normal((_PAIRS, len(size))):
