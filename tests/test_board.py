@@ -109,11 +109,12 @@ def test_faults_of_a_file_are_named(old: str, new: str, told: str, tmp_path: Pat
         (["--squares", "30x40"], "has no marker 250"),
         (["--square", "40mm", "--paper", "a4"], "needs 328 x 462 mm, and a4 is smaller"),
         (["--dictionary", "9X9"], "no dictionary '9X9'"),
+        (["-o", "."], "expected a name in .svg, .png or .pdf"),
     ],
 )
 def test_boards_that_cannot_be_are_refused(options: list[str], told: str, tmp_path: Path) -> None:
     """What cannot be printed or told apart is refused with what to do, and nothing is written."""
-    outcome = run("board", *options, "-o", tmp_path / "board.pdf")
+    outcome = run("board", "-o", tmp_path / "board.pdf", *options)
     assert outcome.code == 2
     assert told in outcome.trouble
     assert not list(tmp_path.iterdir())

@@ -171,6 +171,8 @@ def test_two_boards_in_one_photo_share_no_marker(tmp_path: Path) -> None:
     outcome = run("detect", tmp_path / "p.yaml", tmp_path / "q.yaml", photo, "-o", out)
     assert outcome.code == 2
     assert "share markers (5, 6, 7, 8, …, 20)" in outcome.trouble
+    outcome = run("detect", tmp_path / "p.yaml", tmp_path / "r.yaml", photo, "-o", ".")
+    assert "pincal: . is a folder; name a file to write" in outcome.trouble
     done("detect", tmp_path / "p.yaml", tmp_path / "r.yaml", photo, "-o", out)
     assert set(pd.read_csv(out)["point"]) == {f"p_{i}" for i in range(30)}
 

@@ -64,6 +64,7 @@ def board(
     """
     if not (grid := re.fullmatch(r"(\d{1,3})x(\d{1,3})", options.squares)):
         raise MeasurementError(f"--squares {options.squares!r}: expected two numbers, such as 8x11")
+    form, described = picture_path(output).suffix[1:].lower(), output.with_suffix(".yaml")
     printed = Board(
         named_after(output.with_suffix("")),
         options.kind,
@@ -73,7 +74,6 @@ def board(
         options.dictionary,
         options.first,
     )
-    form, described = picture_path(output).suffix[1:].lower(), output.with_suffix(".yaml")
     page = board_figure(printed, options.paper or "")
     outputs: list[tuple[Path, tuple[str, ...]]] = [(output, ()), (described, ())]
     with writing_together(outputs, force=options.force) as (picture, text):
@@ -128,7 +128,7 @@ def detect(
         reason, number = Counter(photo.reason for photo in photos).most_common(1)[0]
         raise MeasurementError(f"no photo shows the board: {reason} ({number} of {len(photos)})")
     table = _table(photos, row_of, options.camera)
-    drawn = output.with_suffix(".png")
+    drawn = output.parent / f"{output.stem}.png"
     outputs: list[tuple[Path, tuple[str, ...]]] = [(output, ()), (drawn, ())]
     with writing_together(outputs, force=options.force) as (corners, sheet):
         write_table(corners, table)
