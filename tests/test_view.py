@@ -355,15 +355,17 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
         [("" if i == phi and n % 2 else c) for i, c in enumerate(r)] for n, r in enumerate(cells)
     ]
     for name, rows in (("gone", gone), ("holes", holes)):
-        (tmp_path / f"{name}.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
+        text = "\n".join(",".join([*row, "9" if n else "humidity"]) for n, row in enumerate(rows))
+        (tmp_path / f"{name}.csv").write_text(text + "\n")
     page = tmp_path / "view.html"
 
     outcome = done("view", "3RRR", tmp_path / "holes.csv", "--html", page)
-    assert "12 of 24 rows hold no whole pose, the first is in line 2" in outcome.err
+    assert "12 of 24 rows hold no whole pose, the first is in line 2, without phi" in outcome.err
+    assert outcome.err.count("columns not used: humidity") == 1
     assert len(shown_poses(page)) == 12
     refused = run("view", "3RRR", tmp_path / "gone.csv", "--html", page, "--force")
     assert refused.code == 2
-    assert "no column 'phi'" in refused.err
+    assert "24 of 24 rows hold no whole pose, the first is in line 2, without phi" in refused.err
     assert "RESULT in place of the measurements" in refused.err
 
     fit = ["--noise-position", 1e-5, "--folds", 0, "--no-report"]

@@ -22,6 +22,7 @@ from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import is_folder
 from pincal.files.output import refuse_existing
 from pincal.files.table import read_table
+from pincal.model.checks import listed
 from pincal.model.option import option
 from pincal.show.charts import Plots
 from pincal.show.pictures.files import drawing, picture_path, save_figure
@@ -90,18 +91,15 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
         return replace(plan, poses=solution.poses).rows(solution.converged)
     complete: Mask = np.isfinite(plan.poses).all(axis=1).astype(bool)
     if not complete.all():
-        advice = (
-            "What was not measured, 'pincal calibrate -o RESULT' estimates for all rows; RESULT in "
-            "place of the measurements shows it"
-        )
-        try:
-            read_poses(table, mechanism, partial=bool(complete.any()))
-        except MeasurementError as error:
-            raise MeasurementError(f"{error}. {advice}") from error
-        warn(
+        advice = "pincal calibrate estimates them: show its RESULT in place of the measurements"
+        first, names = int(np.argmin(complete)), np.array(mechanism.platform.coordinates)
+        missing = (
             f"{table}: {np.sum(~complete)} of {len(complete)} rows hold no whole pose, the first "
-            f"is in {plan.place(int(np.argmin(complete)))}; only the others are drawn. {advice}"
+            f"is in {plan.place(first)}, without {listed(names[np.isnan(plan.poses[first])])}"
         )
+        if not complete.any():
+            raise MeasurementError(f"{missing}. {advice}")
+        warn(f"{missing}; only the others are drawn. {advice}")
     return plan.rows(complete)
 
 
