@@ -94,8 +94,10 @@ def noise_model(
     full, rows = bool(np.isfinite(data.poses).all()), _has_sigmas(mechanism, data, noise, setup)
     source: Source = "given"
     freedoms: Freedoms = (np.inf,) * 4
-    unsaid = [name for name, c in setup.contacts.items() if c.noise is None and name != ROW]
-    if rows and unsaid:
+    of_setup = setup.noises(mechanism.platform)
+    of_rows = {*of_setup, *data.sigma_extra}
+    touched = setup.contact_axes(mechanism.platform).items()
+    if rows and any(of_rows.isdisjoint(axes) for name, axes in touched if name != ROW):
         raise MeasurementError(
             "columns of standard deviations are given, and nothing says by how much contacts miss; "
             "add 'noise' to each of them in the setup"
@@ -103,7 +105,7 @@ def noise_model(
     if rows:
         _check_sigmas(mechanism, data, setup)
         source, general = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
-    elif noise is None and (setup.tracker or any(c.noise for c in setup.contacts.values())):
+    elif noise is None and (setup.tracker or any(of_setup.values())):
         raise MeasurementError(
             "the setup says how well a tracker or a contact measures; give the noise of all else "
             "that was measured, 0 for what is exact (--noise-orientation, --noise-reading)"
@@ -215,7 +217,7 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements, setup: Setup) -> Non
     ]
     for name, values in data.extra.items():
         sigma = data.sigma_extra.get(name, np.full(len(data), np.nan))
-        if setup.tracker is not None and name in setup.points(platform):
+        if name in setup.noises(platform) or (setup.tracker and name in setup.points(platform)):
             continue
         if (np.isfinite(values) & ~np.isfinite(sigma)).any():
             missing.append(name)

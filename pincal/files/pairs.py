@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.table import TextTable, read_table
 from pincal.model.relations import ROW, TO
-from pincal.types import Array
 
 _KINDS = ("distance", "dx", "dy", "dz")
 _LEADS = re.compile(rf"(distance|d[xyz])(_\w+)?{TO}")
@@ -97,22 +96,6 @@ def with_pairs(measurements: Any, pairs: Any) -> TextTable:
     return replace(table, units={**rows, **table.units, **units}, text=text)
 
 
-def _filled(values: Mapping[str, Array], row: int) -> list[tuple[str, float]]:
-    """Return what stands in a row of some columns, without blank cells."""
-    return [(n, float(column[row])) for n, column in values.items() if np.isfinite(column[row])]
-
-
-def _kinds_of(table: TextTable) -> list[str]:
-    """Return the columns of what is measured between rows; raises if one is missing."""
-    kinds = [kind for kind in _KINDS if kind in table]
-    if missing := [end for end in (*_ENDS, *_KINDS[: not kinds]) if end not in table]:
-        raise MeasurementError(
-            f"{table.path}: no column {missing[0]!r}; expected row a, row b, distance [mm]. The "
-            f"file has {', '.join(table.units)}"
-        )
-    return kinds
-
-
 def _pairs(
     table: TextTable, names: Collection[str], measured: Path
 ) -> Iterator[tuple[str, str, str, float, float | None]]:
@@ -120,7 +103,12 @@ def _pairs(
 
     Rows of names are those of the file ``measured``.
     """
-    values = {kind: table.numbers(kind, "m", blank=True) for kind in _kinds_of(table)}
+    values = {kind: table.numbers(kind, "m", blank=True) for kind in _KINDS if kind in table}
+    if missing := [end for end in (*_ENDS, *_KINDS[: not values]) if end not in table]:
+        raise MeasurementError(
+            f"{table.path}: no column {missing[0]!r}; expected row a, row b, distance [mm]. The "
+            f"file has {', '.join(table.units)}"
+        )
     sigma = table.numbers("sigma", "m").tolist() if "sigma" in table else [None] * len(table.lines)
     first: dict[tuple[object, ...], int] = {}
     for line, ends in enumerate(zip(*(table.text[end] for end in _ENDS), strict=True)):
@@ -132,7 +120,8 @@ def _pairs(
                 f"{table.where(line)}: row {strange!r} is {fault}; expected two rows, by its "
                 "column 'row', or by their numbers if it has none"
             )
-        for kind, value in _filled(values, line):
+        filled = {kind: float(column[line]) for kind, column in values.items()}
+        for kind, value in ((kind, v) for kind, v in filled.items() if np.isfinite(v)):
             before = first.setdefault((kind, frozenset((a, b)), abs(value)), line)
             if before != line:
                 raise MeasurementError(

@@ -204,29 +204,27 @@ def missed(
         The misses, shape (N, k), [m], and their derivatives by points, (N, k, 3), orthonormal rows,
         and by the features' coordinates, (N, k, 6).
     """
-    inward, by_feature = np.swapaxes(axes, 1, 2), np.zeros((len(points), 3, 6))
+    inward, turn = np.swapaxes(axes, 1, 2), np.eye(3)
     w = (inward @ points[:, :, None])[:, :, 0] - features[:, :3]
-    if turns := relation.shape in ("plane", "line", "circle"):
-        unturned = Rotation.from_euler("XY", features[:, 3:5]).inv()
-        w, inward = unturned.apply(w), unturned.as_matrix() @ inward
-        about = np.zeros((len(w), 2, 3))
+    by_turn = np.zeros((len(w), 3, 2))
+    if relation.shape in ("plane", "line", "circle"):
+        turn = Rotation.from_euler("XY", features[:, 3:5]).inv().as_matrix()
+        w, inward = (turn @ w[:, :, None])[:, :, 0], turn @ inward
+        about = np.broadcast_to(np.eye(3)[:2], (len(w), 2, 3)).copy()
         about[:, 0, 0], about[:, 0, 2] = np.cos(features[:, 4]), np.sin(features[:, 4])
-        about[:, 1, 1] = 1.0
-        by_feature[:, :, 3:5] = np.cross(w[:, None], about).transpose(0, 2, 1)
-    by_feature[:, :, :3] = -unturned.as_matrix() if turns else -np.eye(3)
-    values, along, by_radius = [], [], []
-    for way in relation.ways:
+        by_turn = np.cross(w[:, None], about).transpose(0, 2, 1)
+    slopes = np.zeros((len(w), len(relation.ways), 3))
+    for row, way in enumerate(relation.ways):
         if way == "r":
             flat = w * [1.0, 1.0, float(relation.shape != "circle")]
-            size = np.linalg.norm(flat, axis=1)
             with np.errstate(invalid="ignore", divide="ignore"):
-                along.append(flat / size[:, None])
-            values.append(size - features[:, 5])
+                slopes[:, row] = flat / np.linalg.norm(flat, axis=1, keepdims=True)
         else:
-            values.append(w[:, "xyz".index(way)])
-            along.append(np.broadcast_to(np.eye(3)["xyz".index(way)], w.shape))
-        by_radius.append(-float(way == "r"))
-    slopes = np.stack(along, axis=1)
-    by_feature = slopes @ by_feature
+            slopes[:, row, "xyz".index(way)] = 1.0
+    by_radius = -np.array([float(way == "r") for way in relation.ways])
+    value = (slopes @ w[:, :, None])[:, :, 0] + by_radius * features[:, 5:]
+    by_feature = np.zeros((*value.shape, 6))
+    by_feature[:, :, :3] = -slopes @ turn
+    by_feature[:, :, 3:5] = slopes @ by_turn
     by_feature[:, :, 5] = by_radius
-    return np.stack(values, axis=1), slopes @ inward, by_feature
+    return value, slopes @ inward, by_feature
