@@ -15,12 +15,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import done
+from command_line import done, run
+from scipy import stats
 
 import pincal
 from pincal.calibration.many import Row, RowFile, Workers, add_rows
 from pincal.calibration.montecarlo import MonteCarlo
 from pincal.design.platform_error import platform_error
+from pincal.show.many import out_of_family
 
 NOISE = pincal.Noise(position=2e-5, reading=1e-6)
 TYPED = ("--noise-position", "20um", "--noise-reading", "1e-6", "--tolerance", "0.1mm,1mrad,0.001")
@@ -71,6 +73,57 @@ def test_a_study_says_first_what_calibrated_machines_reach(plan: Path, tmp_path:
     workspace = pincal.sample_configurations(machine, 200)
     drawn = MonteCarlo(machine, pincal.Plan.from_csv(plan, machine), workspace, NOISE, OPTIONS)
     assert float(lines[2].split(",")[3]) == drawn.row(1)["chi2"]
+
+
+def test_out_of_family_is_outside_the_prediction_interval_of_the_others() -> None:
+    """Who is named lies outside the interval that all others predict for one more, nobody else."""
+    machine, rng = pincal.load_mechanism("5R"), np.random.default_rng(5)
+    columns = {name: np.full(9, "", dtype=object) for name in ("failure", "file")}
+    columns["file"][:] = [f"{number}.csv" for number in range(9)]
+    for p in machine.parameters:
+        columns[p.column] = p.nominal + 1e-4 * rng.standard_normal(9)
+    columns["leg_2.l [m]"][4] += 2e-3
+    level = 1.0 - 0.01 / (9 * len(machine.parameters))
+    expected = []
+    for p in machine.parameters:
+        for number, value in enumerate(columns[p.column]):
+            others = np.delete(columns[p.column], number)
+            low, high = stats.t.interval(
+                level, 7, others.mean(), others.std(ddof=1) * np.sqrt(1.0 + 1.0 / 8.0)
+            )
+            if not low <= value <= high:
+                expected.append((f"{number}.csv", p.id))
+    named = [(name, text.split()[0]) for name, text in out_of_family(columns, machine)]
+    assert named == expected == [("4.csv", "leg_2.l")]
+
+
+@pytest.mark.slow
+def test_a_line_is_one_table(plan: Path, tmp_path: Path) -> None:
+    """Each file has the verdict of 'calibrate' or a cause; a file added later is done alone."""
+    machine, line, table = pincal.load_mechanism("5R"), tmp_path / "line", tmp_path / "table.csv"
+    line.mkdir()
+    for number in range(3):
+        truth = pincal.disturb(machine, 1e-4, seed=number)
+        data = pincal.simulate(machine, truth, pincal.Plan.from_csv(plan, machine), NOISE, number)
+        data.measurements.to_csv(line / f"{number}.csv", machine)
+    (line / "1.csv").write_text("x [mm]\n1\n", encoding="utf-8")
+    known = ("--noise-position", "20um", "--noise-reading", "1e-6")
+    typed = ("batch", "5R", line, *known, "-o", table, "--results", tmp_path / "results")
+    outcome = run(*typed)
+    assert outcome.code == 1
+    assert "2 of 3 machines calibrated" in outcome.out.splitlines()[0]
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert "1.csv" in rows[1]["failure"]
+    result = pincal.load_result(tmp_path / "results" / "2")
+    assert float(rows[2]["leg_1.l [m]"]) == result["leg_1.l"].identified
+    shown = done("calibrate", "5R", line / "2.csv", *known, "-o", tmp_path / "2", "--no-report")
+    assert rows[2]["verdict"] == shown.out.splitlines()[0].replace(" 5R:", "")
+    before = table.read_bytes()
+    (line / "1.csv").write_bytes((line / "2.csv").read_bytes())
+    outcome = done(*typed)
+    assert table.read_bytes().startswith(before)
+    assert table.read_bytes().count(b"\n") == 5
+    assert outcome.out.splitlines()[-1].startswith("next: pincal deploy ")
 
 
 @pytest.mark.slow

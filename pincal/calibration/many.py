@@ -112,7 +112,7 @@ def add_rows(
     workers: Workers,
     progress: Progress = None,
 ) -> Columns:
-    """Return a table with a row of each item; those that were not there are made and added.
+    """Return columns with a row of each item; rows that a table lacks are made, and added to it.
 
     Args:
         make_row: Returns the row of an item, wherever it is sent to; what it raises is the row's
@@ -145,13 +145,20 @@ def add_rows(
                     "processes were ended before they made a row, perhaps for want of memory: try "
                     f"fewer --workers; {file.path} keeps what is done, the same command goes on"
                 ) from error
-    return file.read()
+    columns = file.read()
+    places = _places(columns, keys)
+    return {name: values[[places[item] for item in items]] for name, values in columns.items()}
+
+
+def _places(columns: Columns, keys: Sequence[str]) -> dict[Item, int]:
+    """Return the place of each item's row."""
+    return {item: row for row, item in enumerate(zip(*(columns[k] for k in keys), strict=True))}
 
 
 def _without_rows(make_row: Callable[..., Row], items: Sequence[Item], file: RowFile) -> list[Item]:
     """Return items without a row; one of the others is made again, and must be as it is there."""
     columns, keys = file.read(), list(file.kinds)[: len(items[0])]
-    places = {key: place for place, key in enumerate(zip(*(columns[k] for k in keys), strict=True))}
+    places = _places(columns, keys)
     for item in [item for item in items if item in places][:1]:
         (row,) = _rows_of(make_row, keys, [item])
         held = {name: values[places[item]] for name, values in columns.items() if name in row}
@@ -169,6 +176,8 @@ def _rows_of(make_row: Callable[..., Row], keys: Sequence[str], items: Sequence[
     for item in items:
         try:
             row = make_row(*item)
+        except (OSError, MemoryError):  # no property of the item
+            raise
         except Exception as error:  # whatever it is, the other rows are made
             kind = "" if isinstance(error, PincalError) else f"{type(error).__name__}: "
             row = {FAILURE: " ".join(f"{kind}{error}".split())}

@@ -25,7 +25,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.model.checks import count_of
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import Parameter, means
+from pincal.model.parameter import means
 from pincal.types import Array
 from pincal.workspace.sampling import sample_configurations
 
@@ -94,7 +94,7 @@ class MonteCarlo:
         drawn, noisy = map(np.random.default_rng, seeds)
         truth = disturb(self.mechanism, self.sigmas, drawn)
         changes = (truth.parameters.values - self.mechanism.parameters.values).tolist()
-        heads = map(_head, self.mechanism.parameters)
+        heads = [p.column for p in self.mechanism.parameters]
         return self.errors(truth, self.noise, noisy) | dict(zip(heads, changes, strict=True))
 
     def row_of(self, id_: str) -> Row:
@@ -203,15 +203,9 @@ def montecarlo(
     drawn = MonteCarlo(mechanism, plan, workspace, noise, options, **study)
     items = [(machine,) for machine in range(count_of(machines, "machines", MeasurementError, 1))]
     with TemporaryDirectory() as scratch:
-        kinds = {"machine": int, **drawn.kinds} | dict.fromkeys(
-            map(_head, mechanism.parameters), float
-        )
+        kinds = {"machine": int, **drawn.kinds, **{p.column: float for p in mechanism.parameters}}
         file = RowFile(Path(path or f"{scratch}/machines.csv"), kinds)
         columns = add_rows(drawn.row, items, file, made_by, progress)
         file = RowFile(Path(scratch, "parameters.csv"), {"parameter": str, **drawn.kinds})
         alone = add_rows(drawn.row_of, [(id_,) for id_ in drawn.sigmas], file, made_by)
     return replace(drawn, columns=columns, alone=alone)
-
-
-def _head(parameter: Parameter) -> str:
-    return f"{parameter.id} [{parameter.unit}]"

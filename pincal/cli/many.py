@@ -1,21 +1,27 @@
-"""``pincal montecarlo``: what accuracy many machines will have."""
+"""``pincal montecarlo`` and ``batch``: what accuracy many machines will have, and have."""
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, replace
+from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from pincal import Noise, Options, load_mechanism, montecarlo
-from pincal.calibration.many import FAILURE, Workers
-from pincal.cli.app import command, fail, say, stdout, working, wrote
-from pincal.cli.design import with_reading_noise
+from pincal import FileError, Noise, Options, load_mechanism, montecarlo
+from pincal.calibration.calibrate import run
+from pincal.calibration.many import FAILURE, Row, RowFile, Workers, add_rows
+from pincal.calibration.options import By
+from pincal.cli.app import command, fail, say, stdout, typed, working, wrote
+from pincal.cli.calibration import InputOptions
 from pincal.cli.options import Mech, PlanOptions, output_option
+from pincal.design.planning import with_reading_noise
 from pincal.files.measurements import read_poses
 from pincal.model.option import option
-from pincal.show.many import montecarlo_lines
+from pincal.show.many import batch_lines, montecarlo_lines, row_kinds, row_of_result
 from pincal.words.numbers import reading_in
 
 _Rows = Annotated[
@@ -74,6 +80,78 @@ def montecarlo_(
         for line in montecarlo_lines(study):
             stdout.print(line)
     wrote(output)
-    say(f"next: pincal identifiability {mech} {plan}")
+    say(f"next: pincal identifiability {shlex.join([mech, str(plan)])}")
     if any(study.columns[FAILURE]):
         fail(1, "exit code 1, since machines have no result")
+
+
+@dataclass(frozen=True)
+class BatchOptions(Workers):
+    """What is made of each file, and by whom."""
+
+    by: By = option("region", "What is held out together: regions, rows in turn, or runs.")
+    workspace: Path | None = option(
+        None, "Poses over which errors are stated [default: 200 of the workspace].", metavar="CSV"
+    )
+    results: Path | None = option(
+        None, "Folder for a result of each machine, as 'pincal calibrate' writes it."
+    )
+
+
+def _row(
+    mech: str,
+    folder: Path,
+    options: Options,
+    known: InputOptions,
+    running: BatchOptions,
+    *file: str,
+) -> Row:
+    """Return the row of a file, by its name in a folder."""
+    calibration = known.calibration(mech, folder / file[0], options)
+    result, *_ = run(calibration, options.folds, running.by)
+    if running.results is not None:
+        result.save(running.results / Path(file[0]).stem, force=True)
+    over = running.workspace
+    poses = None if over is None else read_poses(over, result.nominal)
+    return row_of_result(result, poses)
+
+
+@command
+def batch(
+    mech: Mech,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A CSV of each machine.")],
+    output: _Rows,
+    options: Options,
+    known: InputOptions,
+    running: BatchOptions,
+) -> None:
+    """Calibrate many machines, each from its CSV.
+
+    All of one mechanism: the table has a row of each file with verdict, accuracy, χ² and
+    parameters, or why it has no result. Machines whose parameters lie outside the control limits of
+    the others are named. The table grows: files that are added later are done by the same command,
+    those that changed again. Exit code 1 if a machine has no result, or a bad one.
+    """
+    mechanism, files = load_mechanism(mech), sorted(folder.glob("*.csv"))
+    if not (files := [path for path in files if path.resolve() != output.resolve()]):
+        raise FileError(f"{folder} has no *.csv; expected measurements of a machine in each")
+    items = [(path.name, sha256(path.read_bytes()).hexdigest()[:12]) for path in files]
+    if running.results is not None:
+        running.results.mkdir(parents=True, exist_ok=True)
+    make_row = partial(_row, mech, folder, options, known, running)
+    with working("calibrating machines") as progress:
+        file = RowFile(output, row_kinds(mechanism))
+        columns = add_rows(make_row, items, file, running, progress)
+    with reading_in(known.written_in(mechanism).printed):
+        for line in batch_lines(columns, mechanism):
+            stdout.print(line)
+    wrote(output)
+    bad = columns["file"][[text[:1] in ("", "✗") for text in columns["verdict"]]]
+    if len(bad):
+        say(f"next: pincal doctor {shlex.join([mech, str(folder / bad[0])])}")
+        fail(1, "exit code 1, since machines have no result, or a bad one")
+    if running.results is None:
+        say(f"next: {typed()} --results RESULTS")
+    else:
+        first = running.results / Path(items[0][0]).stem
+        say(f"next: pincal deploy {shlex.quote(str(first))} -o CONTROLLER")

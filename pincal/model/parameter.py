@@ -44,6 +44,11 @@ class Parameter:
         """The one name by which it is known everywhere: ``"leg_1.l"``."""
         return f"{self.owner}.{self.name}"
 
+    @property
+    def column(self) -> str:
+        """What heads its values in a table: ``"leg_1.l [m]"``."""
+        return f"{self.id} [{self.unit}]"
+
 
 class Parameters(tuple[Parameter, ...]):
     """Parameters in order, found by place or by id: ``parameters["leg_1.l"].nominal``."""

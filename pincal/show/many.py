@@ -1,17 +1,25 @@
-"""What many machines show: the verdict, how errors are distributed, and what makes them."""
+"""What many machines show: how errors are distributed, what makes them, who is out of family."""
 
 from __future__ import annotations
 
 from collections import Counter
 
 import numpy as np
+from scipy.special import stdtrit
 
-from pincal.calibration.many import FAILURE, Columns
+from pincal.calibration.many import FAILURE, Columns, Row
 from pincal.calibration.montecarlo import MonteCarlo
-from pincal.words.numbers import amount
+from pincal.calibration.result import CalibrationResult
+from pincal.errors import MeasurementError
+from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
+from pincal.show import answers
+from pincal.show.misses import workspace_errors
+from pincal.words.numbers import amount, fixed, measured
 from pincal.words.table import Cell, Table, Value
 
 _QUANTILES = {"median": 0.5, "95 %": 0.95, "99 %": 0.99, "worst": 1.0}
+_FAMILY, _ALARM = 5, 0.01  # machines of a family at least; chance that a sound one has any outside
 _HEADS = {
     "before": "before calibration",
     "after": "after calibration",
@@ -73,3 +81,80 @@ def _costs(study: MonteCarlo) -> Table:
 def montecarlo_text(study: MonteCarlo) -> str:
     """Return what ``pincal montecarlo`` prints."""
     return "\n".join(map(str, montecarlo_lines(study)))
+
+
+def row_kinds(mechanism: Mechanism) -> dict[str, type]:
+    """Return the columns of a table of calibrations, and what they hold."""
+    texts = dict.fromkeys(["file", "sha256", FAILURE, "verdict"], str)
+    units = dict.fromkeys(mechanism.platform.units)
+    errors = [f"{name} [{unit}]" for unit in units for name in ("before", "after", "limit")]
+    values = [name for p in mechanism.parameters for name in (p.column, f"std {p.column}")]
+    return texts | dict.fromkeys(["rows", "chi2", "p_value", *errors, *values], float)
+
+
+def row_of_result(result: CalibrationResult, workspace: Plan | None) -> Row:
+    """Return what a table says of a calibration: verdict, accuracy, χ², parameters.
+
+    Raises:
+        MeasurementError: it did not converge.
+    """
+    if not result.converged:
+        raise MeasurementError(f"the fit {result.message}")
+    errors = workspace_errors(result, workspace)
+    row: Row = {
+        "verdict": answers.verdict(result, errors)[0].replace(f" {result.nominal.name}:", ""),
+        "rows": len(result.measurements),
+        "chi2": result.reduced_chi2,
+        "p_value": result.chi2_p_value,
+    }
+    parts = (errors.mean_before(), errors.mean_after(), errors.inside.limit)
+    for name, sizes in zip(("before", "after", "limit"), parts, strict=True):
+        row |= {f"{name} [{unit}]": size for unit, size in zip(("m", "rad"), sizes, strict=True)}
+    for p in (p for leg in result.legs for p in leg.parameters):
+        row |= {p.column: p.identified, f"std {p.column}": p.std}
+    return row
+
+
+def out_of_family(columns: Columns, mechanism: Mechanism) -> list[tuple[str, str]]:
+    """Return files whose parameters lie outside the control limits of the others, and how far.
+
+    Each is compared with the mean of the others, by Student's distribution of such a difference
+    (externally studentised); a sound family has one outside in a hundred cases.
+    """
+    fine = columns[FAILURE] == ""
+    n, outside = int(fine.sum()), list[tuple[str, str]]()
+    if n < _FAMILY:
+        return outside
+    limit = float(stdtrit(n - 2, 1.0 - _ALARM / (2.0 * n * len(mechanism.parameters))))
+    for p in mechanism.parameters:
+        x = columns[p.column][fine]
+        off = x - x.mean()
+        rest = (off @ off - n / (n - 1) * off**2) / (n - 2)  # variance of the others
+        sigma = np.sqrt(np.maximum(rest, 1e-12 * np.mean(off**2)) * (1.0 + 1.0 / (n - 1)))
+        away = x - (x.sum() - x) / (n - 1)
+        for i in np.flatnonzero(np.abs(away) > limit * sigma):
+            half = float(limit * sigma[i])
+            others = measured(float(x[i] - away[i]), half, p.unit)
+            value = fixed(float(x[i]), half, p.unit)
+            outside.append(
+                (columns["file"][fine][i], f"{p.id} is {value}, outside {others} of the others")
+            )
+    return outside
+
+
+def batch_lines(columns: Columns, mechanism: Mechanism) -> list[str | Table]:
+    """Return the verdict of many calibrations, what failed, who is out of family, and a table."""
+    fine, unit = columns[FAILURE] == "", mechanism.platform.units[0]
+    outside = out_of_family(columns, mechanism)
+    bad = [text.startswith("✗") for text in columns["verdict"]]
+    mark = "✓" if fine.all() and not any(bad) and not outside else "⚠" if fine.any() else "✗"
+    parts = [f"{fine.sum() - sum(bad)} of {len(fine)} machines calibrated"]
+    if fine.any():
+        worst = float(np.max(columns[f"after [{unit}]"][fine]))
+        parts.append(f"the worst to {amount(worst, unit)}")
+    parts.append(f"{len({name for name, _ in outside})} out of family")
+    lines: list[str | Table] = [f"{mark} {mechanism.name}: {' · '.join(parts)}"]
+    lines += [f"out of family: {name}: {text}" for name, text in outside]
+    texts = zip(columns["file"], columns["verdict"], columns[FAILURE], strict=True)
+    rows = [[name, verdict or f"✗ no result: {why}"] for name, verdict, why in texts]
+    return [*lines, Table("", ["machine", "verdict"], rows)]
