@@ -86,7 +86,7 @@ def written(folder: Path, arm: pincal.Mechanism, data: pincal.Measurements) -> P
 def test_against_figaroh(
     count: int, tmp_path: Path, ratios: Callable[[str, float, str], None]
 ) -> None:
-    """Time and error at 500 unseen configurations; both measured in turn, as time of the processor.
+    """Time and error at 500 held-out poses; both measured in turn, as time of the processor.
 
     Time of the processor, so that what else the machine does counts little, and one thread of BLAS
     for both: those of one would wait for work while the other is timed.
@@ -116,13 +116,13 @@ def test_against_figaroh(
         results = one, found, result
     one_thread.restore_original_limits()
     one, found, result = results
-    unseen = pincal.sample_configurations(arm, 500, 9).readings
+    verification = pincal.sample_configurations(arm, 500, 9).readings
     true, mine = (
-        arm.platform.transforms(pincal.forward(m, unseen).poses).translation
+        arm.platform.transforms(pincal.forward(m, verification).poses).translation
         for m in (truth, result.identified)
     )
     settings = dict(one.calib_config, NbSample=500)
-    other = forward(robot.model, robot.data, found.x, unseen, settings).reshape(6, 500)[:3].T
+    other = forward(robot.model, robot.data, found.x, verification, settings).reshape(6, 500)[:3].T
     errors = [float(np.sqrt(((p - true) ** 2).sum(axis=1).mean())) for p in (mine, other)]
     print(
         f"\n{count} poses: {np.median(theirs[1:]):.3g} s and {np.median(own[1:]):.3g} s; held out"

@@ -29,7 +29,7 @@ import cramer_rao
 from pages import write_table
 
 import pincal
-from pincal.calibration.promise import unseen
+from pincal.calibration.promise import unnoticed
 from pincal.calibration.terms.choice import LEVEL
 from pincal.design.order import in_rounds
 from pincal.design.platform_error import platform_error
@@ -271,7 +271,7 @@ class Judge:
         covariance = result.covariance / result.excess**2
         plan = pincal.Plan(judged(), influences=known)
         promised = platform_error(result.identified, covariance, plan)
-        left = unseen(result.reduced_chi2 / result.excess**2, result.chi2_freedoms)
+        left = unnoticed(result.reduced_chi2 / result.excess**2, result.chi2_freedoms)
         twists = self.off(result.identified)
         size = np.sqrt((twists[:, :2] ** 2).sum(axis=1).mean())
         within = np.abs(twists) <= 1.959964 * promised.std

@@ -28,8 +28,8 @@ from pages import write_table
 import pincal
 
 HEAD = [
-    "| machine | read from | legs | drives | parameters | Pinocchio's gap | unseen poses missed | "
-    "χ² of errors | s |",
+    "| machine | read from | legs | drives | parameters | Pinocchio's gap | "
+    "held-out poses missed | χ² of errors | s |",
     "|---|---|---|---|---|---|---|---|---|",
 ]
 FILES: dict[str, Callable[[Path], Path]] = {
@@ -70,20 +70,20 @@ def machines(folder: Path) -> Iterator[tuple[str, str, Callable[[], pincal.Mecha
 
 
 def missed(mechanism: pincal.Mechanism) -> tuple[float, float]:
-    """Return how far a machine calibrated by exact data misses unseen poses, and the time [s]."""
+    """Return how far a machine calibrated by exact data misses held-out poses, and the time [s]."""
     plan = configurations(mechanism, 40)
     readings, exact = plan.readings, pincal.Noise(1e-7, 1e-7, 1e-7)
     truth = pincal.disturb(mechanism, 1e-4, seed=1)
     moved = pincal.forward(truth, readings)
     rows = np.flatnonzero(moved.converged)
-    seen, unseen = rows[:-8], rows[-8:]
+    seen, verification = rows[:-8], rows[-8:]
     data = pincal.Measurements(readings=readings[seen], poses=moved.poses[seen])
     start = time.perf_counter()
     identified = pincal.calibrate(mechanism, data, noise=exact, folds=0).identified
     seconds = time.perf_counter() - start
     matrices = mechanism.platform.matrices
-    found = matrices(pincal.forward(identified, readings[unseen]).poses)
-    return float(np.abs(found - matrices(moved.poses[unseen])).max()), seconds
+    found = matrices(pincal.forward(identified, readings[verification]).poses)
+    return float(np.abs(found - matrices(moved.poses[verification])).max()), seconds
 
 
 def row(name: str, source: str, mechanism: pincal.Mechanism, sets: int) -> str:

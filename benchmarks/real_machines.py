@@ -90,16 +90,16 @@ def line(name: str, splits: int) -> str:
     for seed in range(splits):
         order = np.random.default_rng(seed).permutation(len(data))
         fit, others = np.split(order, [int(0.7 * len(data))])
-        seen, unseen = data.rows(np.sort(fit)), data.rows(np.sort(others))
+        seen, verification = data.rows(np.sort(fit)), data.rows(np.sort(others))
         even = pincal.calibrate(machine, seen, setup=setup, noise=LEAST_SQUARES)
         begun = time.perf_counter()
         result = pincal.calibrate(machine, seen, setup=setup)
         seconds.append(time.perf_counter() - begun)
         converged += result.converged
         sagging = pincal.calibrate(weighing, seen, setup=setup, terms="gravity")
-        found.append([missed(fit, unseen) for fit in (even, result, sagging)])
-        poses = pincal.forward(result.identified, unseen.readings).poses
-        expected = result.expected_error(pincal.Plan(poses, readings=unseen.readings))
+        found.append([missed(fit, verification) for fit in (even, result, sagging)])
+        poses = pincal.forward(result.identified, verification.readings).poses
+        expected = result.expected_error(pincal.Plan(poses, readings=verification.readings))
         promised.append(root_mean_squares(expected.sizes)[0] / found[-1][1])
     held_out = 1e3 * np.sqrt(np.mean(np.square(found), axis=0))
     numbers = " | ".join(f"{distance:.4f}" for distance in held_out)

@@ -88,7 +88,7 @@ def framed(name: str, sets: int) -> str:
             else:
                 plan = pincal.Plan(pincal.sample_workspace(drawing, POSES + 40, seed=seed))
             data = pincal.simulate(drawing, truth, plan, NOISE, seed=seed).measurements
-            seen, unseen = data.rows(np.arange(POSES)), data.rows(np.arange(POSES, len(data)))
+            seen, held_out = data.rows(np.arange(POSES)), data.rows(np.arange(POSES, len(data)))
             seen = replace(
                 seen, poses=platform.from_matrices(frame @ platform.matrices(seen.poses))
             )
@@ -100,11 +100,11 @@ def framed(name: str, sets: int) -> str:
                 setup=pincal.Setup(unknown_frame=True),
             )
             true, poses = (
-                pincal.forward(machine, unseen.readings, unseen.poses).poses
+                pincal.forward(machine, held_out.readings, held_out.poses).poses
                 for machine in (truth, result.identified)
             )
             off = result.outside.frame @ platform.matrices(poses) - frame @ platform.matrices(true)
-            plan = pincal.Plan(poses, readings=unseen.readings if drawing.by_readings else None)
+            plan = pincal.Plan(poses, readings=held_out.readings if drawing.by_readings else None)
             expected = root_mean_squares(result.expected_error(plan).sizes)[0]
             squares.append((expected**2, (off[:, :3, 3] ** 2).sum(axis=1).mean()))
         promised, true = np.transpose(squares)
@@ -117,7 +117,7 @@ def missed(side: str, count: int, seed: int, tolerance: object) -> float:
     """Return by how much rows not used are missed, root mean square, [m]; NaN if refused."""
     data = motoman.measurements(side)
     order = np.random.default_rng(seed).permutation(len(data))
-    unseen = data.rows(order[count:])
+    held_out = data.rows(order[count:])
     try:
         result = pincal.calibrate(
             motoman.mechanism(side),
@@ -130,8 +130,8 @@ def missed(side: str, count: int, seed: int, tolerance: object) -> float:
     except pincal.ObservabilityError:
         return np.nan
     frame = np.array([one.identified for one in result.external])
-    points = pincal.forward(result.identified, unseen.readings).poses[:, :3]
-    off = Rotation.from_rotvec(frame[3:]).apply(points) + frame[:3] - unseen.poses[:, :3]
+    points = pincal.forward(result.identified, held_out.readings).poses[:, :3]
+    off = Rotation.from_rotvec(frame[3:]).apply(points) + frame[:3] - held_out.poses[:, :3]
     return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 

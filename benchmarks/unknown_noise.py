@@ -51,7 +51,7 @@ def eccentric(mechanism: pincal.Mechanism, amplitude: float, seed: int) -> pinca
 def ratios(mechanism: pincal.Mechanism, lacks: float, seed: int) -> tuple[float, float]:
     """Return how much farther a fit without a given noise misses than the same with it.
 
-    Positions of unseen rows as measured, and the true ones.
+    Positions of held-out rows as measured, and the true ones.
     """
     if mechanism.by_readings:
         plan = pincal.sample_configurations(mechanism, 90, seed=seed)
@@ -59,13 +59,13 @@ def ratios(mechanism: pincal.Mechanism, lacks: float, seed: int) -> tuple[float,
         plan = pincal.Plan(pincal.sample_workspace(mechanism, 90, seed))
     truth = eccentric(mechanism, lacks * NOISE.position, seed)
     data = pincal.simulate(mechanism, truth, plan, NOISE, seed=seed).measurements
-    seen, unseen = data.rows(np.arange(60)), data.rows(np.arange(60, len(data)))
-    clean = pincal.forward(truth, unseen.readings, unseen.poses).poses
+    seen, verification = data.rows(np.arange(60)), data.rows(np.arange(60, len(data)))
+    clean = pincal.forward(truth, verification.readings, verification.poses).poses
     lengths, missed = mechanism.platform.lengths, []
     for noise in (NOISE, None):
         identified = pincal.calibrate(mechanism, seen, noise=noise).identified
-        poses = pincal.forward(identified, unseen.readings, unseen.poses).poses
-        gaps = (poses - unseen.poses)[:, :lengths], (poses - clean)[:, :lengths]
+        poses = pincal.forward(identified, verification.readings, verification.poses).poses
+        gaps = (poses - verification.poses)[:, :lengths], (poses - clean)[:, :lengths]
         missed.append([np.sqrt(np.mean(gap**2)) for gap in gaps])
     measured, true = np.divide(missed[1], missed[0]).tolist()
     return measured, true

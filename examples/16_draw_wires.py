@@ -22,14 +22,16 @@ for name, point in points.items():
     exact = np.linalg.norm(plan.poses - point, axis=1)
     extra[name] = exact + 3e-4 * rng.standard_normal(len(exact))
     sigma[name] = np.full(len(exact), 3e-4)
-unseen = np.full_like(data.poses, np.nan)  # nobody measured x, y, z
+missing = np.full_like(data.poses, np.nan)  # nobody measured x, y, z
 
 there = rng.uniform([-0.7, -0.7, 0.0], [0.7, 0.7, 1.4], (300, 3))
 figure = Figure(figsize=(7, 4), layout="constrained")
 axes = figure.subplots()
 for wires in (list(points)[:1], list(points)[:2], list(points)):
     kept = {name: extra[name] for name in wires}
-    own = replace(data, poses=unseen, extra=kept, sigma_extra={name: sigma[name] for name in wires})
+    own = replace(
+        data, poses=missing, extra=kept, sigma_extra={name: sigma[name] for name in wires}
+    )
     some = replace(setup, distances={name: setup.distances[name] for name in wires})
     fit = pincal.calibrate(robot, own, setup=some)
     error = pincal.accuracy(fit.identified, truth, there)

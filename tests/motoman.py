@@ -173,7 +173,7 @@ def reference(side: str, seed: int) -> Reference:
     The tracker's place is a rigid alignment of the rows fitted, and then the first joint's own
     displacement takes it up.
     """
-    data, (fit, unseen) = measurements(side), split(side, seed)
+    data, (fit, verification) = measurements(side), split(side, seed)
     readings, goal = data.readings, data.poses[:, :3]
     nominal = np.zeros((8, 6))
     turn, shift = aligned(goal[fit], positions(side, readings[fit], nominal)[0])
@@ -201,11 +201,11 @@ def reference(side: str, seed: int) -> Reference:
     seen = weighed(fit)
     lengths = np.maximum(np.linalg.norm(seen, axis=0), 1e-12)
     step = np.linalg.lstsq(seen / lengths, -residuals(found.x, fit), rcond=1e-6)[0] / lengths
-    left = residuals(found.x, unseen) + weighed(unseen) @ step
+    left = residuals(found.x, verification) + weighed(verification) @ step
     return Reference(
-        held_out=rms(found.x, unseen),
+        held_out=rms(found.x, verification),
         fitted=rms(found.x, fit),
-        registered=rms(nominal.ravel(), unseen),
+        registered=rms(nominal.ravel(), verification),
         rank=rank,
-        under_weight=float(np.sqrt((left**2).sum() / len(unseen))),
+        under_weight=float(np.sqrt((left**2).sum() / len(verification))),
     )

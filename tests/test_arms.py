@@ -185,7 +185,7 @@ def measured_by(name: str, phi: Array, count: int, seed: int) -> pincal.Measurem
 
 @pytest.mark.parametrize("name", quick(1, ["panda", "ur10", "tiago", "kinova"]))
 def test_clean_poses_identify_the_arm(name: str) -> None:
-    """Without noise, poses at unseen configurations are the truth's to 1e-9 m and rad.
+    """Without noise, poses at held-out configurations are the truth's to 1e-9 m and rad.
 
     Of all parameters that fit, those found are nearest to nominal, each weighed by what it alone
     does to the pose: no step along a redundant direction brings them nearer.
@@ -195,9 +195,9 @@ def test_clean_poses_identify_the_arm(name: str) -> None:
     data = measured_by(name, phi, 40, 0)
     result = pincal.calibrate(mechanism, data, noise=NOISE)
     assert result.converged
-    unseen = measured_by(name, phi, 100, 9)
-    found = pincal.forward(result.identified, unseen.readings).poses
-    assert np.abs(mechanism.platform.twists_between(found, unseen.poses)).max() < 1e-9
+    held_out = measured_by(name, phi, 100, 9)
+    found = pincal.forward(result.identified, held_out.readings).poses
+    assert np.abs(mechanism.platform.twists_between(found, held_out.poses)).max() < 1e-9
 
     change = result.legs[0].identified
     J = jacobian(name, pincal.sample_configurations(mechanism, 200, 11).readings)
@@ -237,7 +237,7 @@ def test_clean_positions_identify_the_arm(frame: bool) -> None:
         points = matrices[:, :3, 3] + matrices[:, :3, :3] @ np.array(offset)
         return points @ place[:3, :3].T + place[:3, 3]
 
-    data, unseen = (measured_by("ur10", phi, count, seed) for count, seed in ((40, 0), (100, 9)))
+    data, held_out = (measured_by("ur10", phi, count, seed) for count, seed in ((40, 0), (100, 9)))
     data = put(
         data, "poses", np.s_[:, :3], seen(platform.transforms(data.poses).as_matrix(), tracker)
     )
@@ -248,8 +248,8 @@ def test_clean_positions_identify_the_arm(frame: bool) -> None:
     if frame:
         values = np.array([one.identified for one in result.external])
         place[:3, :3], place[:3, 3] = pin.exp3(values[3:]), values[:3]
-    found = pincal.forward(result.identified, unseen.readings).poses
-    wanted = seen(platform.transforms(unseen.poses).as_matrix(), tracker)
+    found = pincal.forward(result.identified, held_out.readings).poses
+    wanted = seen(platform.transforms(held_out.poses).as_matrix(), tracker)
     points = seen(platform.transforms(found).as_matrix(), place)
     np.testing.assert_allclose(points, wanted, atol=1e-9)
     texts = list(map(sentence, result.gauge))

@@ -53,8 +53,8 @@ def test_noise_of_poses_and_encoders(noise: pincal.Noise) -> None:
     result = pincal.calibrate(mechanism, data, noise=noise)
     assert result.converged
     assert abs(result.reduced_chi2 - 1.0) < 4 * np.sqrt(2 / (6 * 60 - 30))
-    unseen = pincal.sample_configurations(mechanism, 100, 9).readings
-    assert np.sqrt((twists(result.identified, truth, unseen) ** 2).mean()) < 1e-4
+    held_out = pincal.sample_configurations(mechanism, 100, 9).readings
+    assert np.sqrt((twists(result.identified, truth, held_out) ** 2).mean()) < 1e-4
 
 
 @pytest.mark.slow
@@ -106,8 +106,8 @@ def test_outliers_are_listed_and_left_out() -> None:
     assert result.converged
     assert {7, 20, 41} <= {one.row for one in result.outliers}
     assert len(result.outliers) <= 5
-    unseen = pincal.sample_configurations(mechanism, 100, 9).readings
-    off = twists(result.identified, truth, unseen)
+    held_out = pincal.sample_configurations(mechanism, 100, 9).readings
+    off = twists(result.identified, truth, held_out)
     assert np.sqrt((off**2).mean()) < 1e-4
 
 
@@ -302,17 +302,17 @@ def test_on_the_command_line(tmp_path: Path) -> None:
 
 
 def test_expected_error_is_what_was_forecast() -> None:
-    """On clean data, over unseen configurations: with redundant parameters, and in any frame."""
+    """On clean data, over held-out configurations: with redundant parameters, and in any frame."""
     arm = loaded("ur10")
     truth = pincal.disturb(arm, 1e-3, seed=4)
-    plan, unseen = (pincal.sample_configurations(arm, n, seed=s) for n, s in ((40, 1), (50, 2)))
+    plan, held_out = (pincal.sample_configurations(arm, n, seed=s) for n, s in ((40, 1), (50, 2)))
     noise = pincal.Noise(1e-4, 1e-4, 0.0)
     data = pincal.simulate(arm, truth, plan, noise, seed=5).measurements
     for unknown in (False, True):
         setup = pincal.Setup(unknown_frame=unknown)
         result = pincal.calibrate(arm, data, noise=noise, setup=setup)
-        found = result.expected_error(unseen)
-        forecast = pincal.forecast(truth, plan, noise, setup=setup).platform_error(unseen)
+        found = result.expected_error(held_out)
+        forecast = pincal.forecast(truth, plan, noise, setup=setup).platform_error(held_out)
         assert found.position == pytest.approx(forecast.position, rel=0.02)
         assert found.orientation == pytest.approx(forecast.orientation, rel=0.02)
         fixed = [p for leg in result.legs for p in leg.parameters if p.std == 0.0]

@@ -211,17 +211,17 @@ def test_camera_and_board_anywhere(make, points, free) -> None:  # type: ignore[
     noise, setup = pincal.Noise(pixel=0.1), pincal.Setup(instruments=(camera,))
     result = pincal.calibrate("6UPS", data, noise=noise, setup=setup)
     assert {f.code: f.values.get("freedoms", 1) for f in result.gauge} == free
-    _, unseen = _measured(make(), seed=5)
-    poses = pincal.forward(result.identified, unseen.readings).poses
+    _, verification = _measured(make(), seed=5)
+    poses = pincal.forward(result.identified, verification.readings).poses
     matrices = result.identified.platform.transforms(poses).as_matrix()
     values = np.array([result[p.id].identified for p in camera.parameters])
-    missed = camera.evaluate(matrices, values, np.column_stack([*unseen.extra.values()]))[0]
+    missed = camera.evaluate(matrices, values, np.column_stack([*verification.extra.values()]))[0]
     assert np.abs(missed).max() < 1e-6
 
 
 @pytest.mark.parametrize("make", [_camera, _in_hand])
 def test_hand_eye_calibration_finds_what_a_machine_as_drawn_shows(make) -> None:  # type: ignore[no-untyped-def]
-    """Without noise unseen photos are predicted to 1e-3 px, as OpenCV finds boards in them.
+    """Without noise held-out photos are predicted to 1e-3 px, as OpenCV finds boards in them.
 
     A machine that is not as drawn is missed by what no camera and board elsewhere explain.
     """

@@ -57,7 +57,7 @@ def test_terms_reach_the_noise_where_geometry_misses_it(
     rows: tuple[pincal.Mechanism, pincal.Measurements, pincal.Measurements],
 ) -> None:
     """Root mean square distance at 200 poses: the noise with terms, three times that without."""
-    arm, data, unseen = rows
+    arm, data, held_out = rows
     off = {}
     names = [f"{name}=gravity" for name in arm.reading_names[1:3]]
     for terms in ((), tuple(names)):
@@ -69,10 +69,12 @@ def test_terms_reach_the_noise_where_geometry_misses_it(
             terms=terms,
         )
         assert found.converged
-        there = points(arm, pincal.forward(found.identified, unseen.readings, unseen.poses).poses)
+        there = points(
+            arm, pincal.forward(found.identified, held_out.readings, held_out.poses).poses
+        )
         frame = np.array([one.identified for one in found.external])
         missed = (
-            Rotation.from_rotvec(frame[3:]).apply(there) + frame[:3] - points(arm, unseen.poses)
+            Rotation.from_rotvec(frame[3:]).apply(there) + frame[:3] - points(arm, held_out.poses)
         )
         off[bool(terms)] = float(np.sqrt((missed**2).sum(axis=1).mean()))
     noise = np.sqrt(3.0) * NOISE.position

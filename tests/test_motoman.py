@@ -69,7 +69,7 @@ def test_held_out_rows(mechanism: pincal.Mechanism, data: pincal.Measurements, s
     parameters those nearest to the drawing are taken, by how much machines differ from one: those
     that no held direction moves are known to within that, the others have no interval.
     """
-    fit, unseen = (data.rows(rows) for rows in motoman.split("left", seed))
+    fit, verification = (data.rows(rows) for rows in motoman.split("left", seed))
     result = pincal.calibrate(
         mechanism,
         fit,
@@ -79,8 +79,8 @@ def test_held_out_rows(mechanism: pincal.Mechanism, data: pincal.Measurements, s
     )
     assert result.converged
     turn, shift = external(result)
-    points = pincal.forward(result.identified, unseen.readings).poses[:, :3]
-    off = turn.apply(points) + shift - unseen.poses[:, :3]
+    points = pincal.forward(result.identified, verification.readings).poses[:, :3]
+    off = turn.apply(points) + shift - verification.poses[:, :3]
     rms = float(np.sqrt((off**2).sum(axis=1).mean()))
     print(f"seed {seed}: {1e3 * rms:.4f} mm held out")
     assert rms <= 0.085e-3

@@ -138,8 +138,8 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
     replace(data, poses=unturned).to_csv(folder / "no_phi.csv", mechanism)
     data.rows(np.arange(6)).to_csv(folder / "six.csv", mechanism)
     cables, _, lines = machine("4cable", 40, NOISE)
-    unseen = replace(lines, poses=np.full_like(lines.poses, np.nan))
-    unseen.to_csv(folder / "lines.csv", cables)
+    readings_only = replace(lines, poses=np.full_like(lines.poses, np.nan))
+    readings_only.to_csv(folder / "lines.csv", cables)
     return folder
 
 

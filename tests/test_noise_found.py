@@ -59,7 +59,7 @@ def test_noise_that_stays_is_not_fitted_again(name: str, monkeypatch: pytest.Mon
 def test_what_a_model_lacks_is_no_noise_of_sensors(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drives eccentric by ten times the noise: other poses are missed no farther than with noise.
 
-    Not by more than 3 %, of 300 unseen rows; 19 % if readings are taken for as noisy as they look,
+    Not by more than 3 % of 300 held-out rows; 19 % if readings are taken for as noisy as they look,
     since poses near singularities then weigh little.
     """
     monkeypatch.syspath_prepend("benchmarks")
@@ -67,10 +67,10 @@ def test_what_a_model_lacks_is_no_noise_of_sensors(monkeypatch: pytest.MonkeyPat
     truth = study.eccentric(nominal, 10.0 * study.NOISE.position, 83)
     plan = pincal.Plan(pincal.sample_workspace(nominal, 360, 1005))
     data = pincal.simulate(nominal, truth, plan, study.NOISE, seed=5).measurements
-    seen, unseen = data.rows(np.arange(60)), data.rows(np.arange(60, 360))
+    seen, verification = data.rows(np.arange(60)), data.rows(np.arange(60, 360))
     missed = []
     for noise in (study.NOISE, None):
         identified = pincal.calibrate(nominal, seen, noise=noise).identified
-        poses = pincal.forward(identified, unseen.readings, unseen.poses).poses
-        missed.append(np.sqrt(np.mean((poses - unseen.poses)[:, :2] ** 2)))
+        poses = pincal.forward(identified, verification.readings, verification.poses).poses
+        missed.append(np.sqrt(np.mean((poses - verification.poses)[:, :2] ** 2)))
     assert missed[1] <= 1.03 * missed[0]

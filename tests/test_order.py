@@ -98,7 +98,7 @@ def test_a_drift_does_not_hide_in_legs() -> None:
             pincal.accuracy(result.identified, truth, poses),
         )
         share = error.position / expected.limit[0]
-        return share, share * expected.unseen
+        return share, share * expected.unnoticed
 
     rounds = [in_rounds(mechanism, plan, every=0, seed=seed) for seed in range(6)]
     assert all(shares(seed, ordered)[0] <= 1.0 for seed, ordered in enumerate(rounds))

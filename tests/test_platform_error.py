@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pincal
-from pincal.calibration.promise import unseen
+from pincal.calibration.promise import unnoticed
 from pincal.design.platform_error import (
     PlatformError,
     Unidentified,
@@ -131,7 +131,7 @@ def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | Non
     same = 1e-9 if setup is None else 1e-4
     np.testing.assert_allclose(found.sizes, errors.expected.sizes, rtol=same)
     assert root_mean_squares(inside.sizes) == pytest.approx(errors.mean_after(), rel=same)
-    wider = unseen(result.reduced_chi2, result.chi2_freedoms)
+    wider = unnoticed(result.reduced_chi2, result.chi2_freedoms)
     limit = tuple(np.hypot(wider * np.array(inside.limit), errors.inside.hidden))
     assert limit == pytest.approx(errors.inside.limit, rel=same, abs=1e-15)
 
@@ -154,7 +154,9 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     region = poses[errors.expected.within]
     inside = platform_error(result.identified, result.covariance, region, held, result.frames_moved)
     assert root_mean_squares(inside.sizes) == pytest.approx(errors.mean_after(), rel=1e-9)
-    limit = tuple(np.hypot(errors.expected.unseen * np.array(inside.limit), errors.inside.hidden))
+    limit = tuple(
+        np.hypot(errors.expected.unnoticed * np.array(inside.limit), errors.inside.hidden)
+    )
     assert limit == pytest.approx(errors.inside.limit, rel=1e-9)
     assert result.expected_error(poses).position == found.position
 
@@ -171,10 +173,10 @@ def test_what_is_printed(hexapod: tuple[pincal.Mechanism, np.ndarray, np.ndarray
 
 def test_a_limit_takes_in_what_residuals_cannot_show() -> None:
     """By χ² tables: 5 % of χ² of 100 freedoms lie below 77.93; never less than the noise given."""
-    assert unseen(1.0, 100.0) == pytest.approx(np.sqrt(100.0 / 77.93), rel=1e-4)
-    assert unseen(0.5, 100.0) == 1.0
-    assert unseen(1.0, 1e6) == pytest.approx(1.0, abs=2e-3)
-    assert unseen(np.nan, 0.0) == 1.0
+    assert unnoticed(1.0, 100.0) == pytest.approx(np.sqrt(100.0 / 77.93), rel=1e-4)
+    assert unnoticed(0.5, 100.0) == 1.0
+    assert unnoticed(1.0, 1e6) == pytest.approx(1.0, abs=2e-3)
+    assert unnoticed(np.nan, 0.0) == 1.0
 
 
 def test_errors_that_look_like_noise_move_the_platform() -> None:
@@ -192,7 +194,7 @@ def test_errors_that_look_like_noise_move_the_platform() -> None:
     by_readings = np.concatenate(moves, axis=1) * NOISE.reading
     variances = (by_readings**2).sum(axis=1) + NOISE.of_poses(mechanism) ** 2
     noise = np.sqrt([variances[:, :2].sum(axis=1).mean(), variances[:, 2].mean()])
-    c = unseen(result.reduced_chi2, result.chi2_freedoms)
+    c = unnoticed(result.reduced_chi2, result.chi2_freedoms)
     error = result.expected_error(inside)
     assert c > 1.05
     assert error.hidden == pytest.approx(np.sqrt(c**2 - 1.0) * noise, rel=1e-3)

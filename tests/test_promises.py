@@ -111,9 +111,9 @@ def test_unpromised_errors_are_those_of_rows_not_seen(noise: pincal.Noise | None
     assert of_fits is not None
     columns = ((of_fits.position, NOISE.position, 2), (of_fits.orientation, NOISE.orientation, 1))
     for missed, column in zip(result.misses, columns, strict=True):
-        (_, unseen), sigma, axes = column
+        (_, verification), sigma, axes = column
         known = 0.0 if noise is None else axes * sigma**2
-        assert missed == pytest.approx(np.sqrt(unseen**2 - known), rel=0.05)
+        assert missed == pytest.approx(np.sqrt(verification**2 - known), rel=0.05)
     assert result.expected_error().position == pytest.approx(result.misses[0])
 
 

@@ -78,11 +78,11 @@ def test_noise_that_is_not_given_is_no_worse_than_least_squares(lacks: float, se
 
     What it lacks looks like noise of readings, by which poses near singularities would be judged.
     """
-    arm, seen, unseen = flexing_arm(lacks, seed)
+    arm, seen, held_out = flexing_arm(lacks, seed)
     by_default = pincal.calibrate(arm, seen, setup=UNKNOWN_PLATE)
     least_squares = pincal.calibrate(arm, seen, setup=UNKNOWN_PLATE, noise=LEAST_SQUARES)
     assert by_default.converged
-    assert missed(by_default, unseen) <= 1.03 * missed(least_squares, unseen)
+    assert missed(by_default, held_out) <= 1.03 * missed(least_squares, held_out)
 
 
 def apart(points: np.ndarray, others: np.ndarray) -> float:
@@ -129,16 +129,17 @@ def test_the_error_is_that_of_the_points_measured(tolerance: dict[str, float], s
 
     However wide the tolerances of what no measurement tells: the problem is not curved by these.
     """
-    arm, seen, unseen = flexing_arm(0.0, seed)
+    arm, seen, held_out = flexing_arm(0.0, seed)
     noise = pincal.Noise(TRACKER, 1e-3)
     result = pincal.calibrate(arm, seen, setup=UNKNOWN_PLATE, noise=noise, tolerance=tolerance)
     assert result.promises
     plan = pincal.Plan(
-        pincal.forward(result.identified, unseen.readings).poses, readings=unseen.readings
+        pincal.forward(result.identified, held_out.readings).poses,
+        readings=held_out.readings,
     )
     error = result.expected_error(plan)
     off = np.hypot(error.position, np.sqrt(3.0) * TRACKER)
-    assert 0.8 <= off / missed(result, unseen) <= 1.25
+    assert 0.8 <= off / missed(result, held_out) <= 1.25
     assert error.units == ("m",) * 9
 
 
@@ -148,7 +149,7 @@ def test_where_all_was_measured_held_directions_leave_the_error_finite(
 ) -> None:
     """A Panda of seven joints, the first still, or all nearly: at measured poses a number.
 
-    Its readings do not follow from its poses, and some held directions are weak, not unseen.
+    Its readings do not follow from its poses, and some held directions are weak, not undetermined.
     """
     arm, rng = loaded("panda"), np.random.default_rng(seed)
     middle = pincal.sample_configurations(arm, 1, seed=seed).readings

@@ -123,7 +123,9 @@ def test_the_first_section_answers(planar: Any) -> None:
     np.testing.assert_allclose(shown[0], [1e3 * before.position, 1e3 * before.orientation], 6e-3)
     sizes = np.column_stack(([after.position, after.orientation], limit)).ravel()
     np.testing.assert_allclose(shown[1], 1e3 * sizes, 6e-3)
-    np.testing.assert_allclose(shown[2], 1e3 * np.array(held_out), 6e-3)
+    with_noise = [missed.limit for missed in result.validation.targets]
+    sizes = np.column_stack((held_out, with_noise)).ravel()
+    np.testing.assert_allclose(shown[2], 1e3 * sizes, 6e-3)
     text = first.text_content()
     assert f"Reduced χ² {result.reduced_chi2:.3g}" in text
     assert f"Held-out error {result.validation.held_out:.2f} σ" in text
@@ -158,7 +160,7 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     assert after >= 2e3 * errors_at(result, poor.poses).mean_after()[0]
     assert 1e-3 * after >= poor.misses[0] * 0.99
     assert verdicts[0] == "Not yet reliable"
-    assert verdicts[1].endswith(" mm at unseen poses")
+    assert verdicts[1].endswith(" mm at held-out poses")
     unchecked = verdicts_of(Report(replace(poor, validation=None), errors, date=DATE))[0]
     assert unchecked[1].endswith(f"→ {after:.3g} mm or more")
     assert verdicts[2] == "Not yet reliable: 1 warning"
@@ -194,7 +196,7 @@ def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
         failed = Report(poor, report.errors, date=DATE)
         verdicts, text = verdicts_of(failed)
         assert verdicts[0] == verdict
-        assert verdicts[1].endswith(" mm at unseen poses")
+        assert verdicts[1].endswith(" mm at held-out poses")
         assert "100 times as large as the noise" in text
         assert "→" not in text
         assert ("fit no better" in text) == (verdict == "No")
@@ -562,8 +564,8 @@ def test_calibrate_writes_the_report(work: Path) -> None:
     page = lxml_html.parse(work / "a result/report.html").getroot()
     steps = [block.text_content() for block in page.get_element_by_id("answers").iter("pre")]
     assert steps[:2] == [
-        "pincal view 'a result'",
         "pincal deploy 'a result' -o CONTROLLER",
+        "pincal inverse 'a result' POSES.csv -o READINGS.csv",
     ]
     assert outcome.out.splitlines()[-1] == f"next: {steps[0]}"
     typed = page.get_element_by_id("reproduction").find(".//pre").text_content()

@@ -182,10 +182,13 @@ def test_the_term_of_a_screws_pitch_pays_and_is_kept(tmp_path: Path) -> None:
     assert "the pitch of a screw" in out
     words = shlex.split(next(line for line in out.splitlines() if "pincal calibrate" in line))
     done(*words[1:-1], tmp_path / "r", "--no-report")
-    saved, unseen = pincal.load_mechanism(tmp_path / "r"), waved("linear_delta", 1, 1e-4, 5e-3)
-    reached = pincal.forward(saved, unseen.readings, unseen.poses).poses
-    without = pincal.forward(saved.without_terms, unseen.readings, unseen.poses).poses
-    off, off_without = (np.std(poses - unseen.poses) for poses in (reached, without))
+    saved, held_out = (
+        pincal.load_mechanism(tmp_path / "r"),
+        waved("linear_delta", 1, 1e-4, 5e-3),
+    )
+    reached = pincal.forward(saved, held_out.readings, held_out.poses).poses
+    without = pincal.forward(saved.without_terms, held_out.readings, held_out.poses).poses
+    off, off_without = (np.std(poses - held_out.poses) for poses in (reached, without))
     assert off < 0.7 * off_without
 
 

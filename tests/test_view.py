@@ -474,3 +474,14 @@ def test_an_arm_is_carried_by_its_tool() -> None:
     np.testing.assert_allclose(driven[0, :3], end[:3, 3], atol=1e-9)
     far = json.loads(answer(shown, 0, np.concatenate((turned, [9.0, 0.0, 0.0]))))
     assert far["problem"]
+
+
+def test_an_arm_of_five_joints_is_carried_by_its_tool() -> None:
+    """Its tool goes along with the pointer to 0.1 mm; it turns, as it must, and no farther."""
+    arm, along = loaded("so100"), np.array([0.01, -0.005, 0.01])
+    plan = pincal.sample_configurations(arm, 1, seed=3)
+    answered = json.loads(answer(scene(arm, plan), 0, np.concatenate((np.zeros(5), along))))
+    driven = pincal.forward(arm, plan.readings + np.array(answered["by"])).poses
+    twist = arm.platform.twists_between(plan.poses, driven)[0]
+    np.testing.assert_allclose(twist[:3], along, atol=1e-4)
+    assert 0.0 < np.linalg.norm(twist[3:]) < 0.5

@@ -52,7 +52,7 @@ def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -
     return float(chdtrc(degrees_of_freedom, degrees_of_freedom * chi2))
 
 
-def unseen(chi2: float, degrees_of_freedom: float) -> float:
+def unnoticed(chi2: float, degrees_of_freedom: float) -> float:
     """Return how many times larger than the noise residuals may be by their reduced χ², at 95 %.
 
     Errors of the model of that size cannot be distinguished from noise; 1 or more.
@@ -79,7 +79,7 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
         ratios = np.where(np.isinf(error.sizes), np.inf, error.sizes / known).max(axis=1)
     error = replace(error, outside=ratios * (1.0 - _SAME), uncovered=uncovered(result))
     if result.promises:
-        return replace(error, hidden=_hidden(result, poses, error.unseen))
+        return replace(error, hidden=_hidden(result, poses, error.unnoticed))
     expected = np.array(root_mean_squares(_by_covariance(result, measured_plan(result)).sizes))
     lacks = np.sqrt(np.maximum(np.square(result.misses) - expected**2, 0.0))
     std, lengths = error.std, np.array([unit == "m" for unit in error.units])
@@ -105,7 +105,7 @@ def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tup
 
     Conditions B δx + D δψ = 0 of poses and readings have noise of covariance K. What else the
     machine is off by and no parameter holds, as clearance, stands in the same conditions; χ² leaves
-    the two together up to a scale (``unseen``), which leaves (scale² - 1) K to the machine. That
+    the two together up to a scale (``unnoticed``), which leaves (scale² - 1) K to the machine. That
     moves the platform wherever it goes, parameters apart: through B⁻¹ D by the readings' share.
     """
     noise, legs = result.calibration.noise, legs_at(result.identified, poses)
@@ -161,7 +161,7 @@ def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
         seen,
         result.noise_freedoms,
     )
-    return replace(error, unseen=unseen(result.reduced_chi2, result.chi2_freedoms))
+    return replace(error, unnoticed=unnoticed(result.reduced_chi2, result.chi2_freedoms))
 
 
 def seen_by(result: CalibrationResult) -> Array | Seen | None:

@@ -123,7 +123,7 @@ def _converter() -> Converter:
 _CONVERTER = _converter()
 
 
-FORMAT = 5
+FORMAT = 6
 REPRODUCED = 1e-9
 """Of a machine's size, [m] and [rad]: within this its residuals, read back, are those reported."""
 RESULT, REPORT = "result.json", "report.html"

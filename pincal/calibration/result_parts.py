@@ -140,6 +140,10 @@ class LegResult(ResidualGroup):
         return np.array([p.std for p in self.parameters])
 
 
+KINDS = ("verification", "held-out")
+"""What rows are called that are held out: those that the user reserves, and those of folds."""
+
+
 @dataclass(frozen=True)
 class Missed:
     """How far one target is missed, its position or its orientation."""
@@ -158,10 +162,11 @@ class Missed:
     """Root mean square at held-out rows."""
     largest: float
     """The largest; no bootstrap says how much larger another would be."""
-    mean_ends: tuple[float, float]
-    """Ends of the mean's 95 % interval; infinite of a single pose."""
     rms_ends: tuple[float, float]
-    """Ends of the root mean square's 95 % interval."""
+    """Ends of the root mean square's 95 % interval; infinite of a single pose."""
+    limit: float = np.inf
+    """Below which the root mean square is at 95 %, if noise and model are right: what noise of the
+    instrument and of readings makes, and what the fits do not know."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,8 +190,13 @@ class Validation:
     """Standard deviations by which each held-out row is missed, as one normal number that is as
     unlikely; NaN of other rows, shape (N,)."""
     targets: tuple[Missed, ...]
-    """How far each measured target is missed at held-out rows: mean, root mean square, largest,
-    and intervals by a bootstrap of poses."""
+    """How far each measured target is missed at held-out rows: mean, largest, and root mean square,
+    with its limit and an interval by a bootstrap of poses."""
+
+    @property
+    def kind(self) -> str:
+        """``"held-out"`` of rows that folds leave out, ``"verification"`` of those reserved."""
+        return KINDS[self.folds > 1]
 
     @property
     def position(self) -> tuple[float, float] | None:

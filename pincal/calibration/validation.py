@@ -1,4 +1,4 @@
-"""Errors at rows that a fit has not seen: of all that was measured, and of targets in m and rad.
+"""Errors at rows held out of a fit: of all that was measured, and of targets in m and rad.
 
 Held-out rows are predicted like those of the fit, whitened by their noise; of them more is
 expected by what the fit does not know: r has the covariance 1 + J C Jᵀ. What then exceeds the
@@ -22,9 +22,9 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.findings import MANY_ROWS, rounding, values_of
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import FOLDS, By, clusters, folds_of
-from pincal.calibration.promise import UNEXPLAINED, exceeded, misses_of
-from pincal.calibration.result_parts import Missed, Validation
-from pincal.design.platform_error import CONFIDENCE, DRAWS
+from pincal.calibration.promise import UNEXPLAINED, Misses, by_target, exceeded, misses_of
+from pincal.calibration.result_parts import KINDS, Missed, Validation
+from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.problem import Linear
@@ -32,7 +32,6 @@ from pincal.estimation.robust import as_one
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, suspected
-from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.forward import forward
 from pincal.model.relations import ROW, TO
 from pincal.types import Array, Index, Mask
@@ -41,6 +40,7 @@ from pincal.words.findings import finding
 MISSES = 10.0
 """Standard deviations by which a fit misses its own rows that is none, which held-out rows do not
 make worse."""
+_DRAWN, _CHOSEN = 1000, 2000  # misses of each fold; choices of poses for an interval
 
 
 @one_thread()
@@ -75,7 +75,7 @@ def held_out(
         fitting[[row.row for row in wrong]] = False
     if wrong and not robust and not validation.findings:
         rows, total = [row.row for row in wrong], validation.rows + len(wrong)
-        remark = finding("wrong-held-out", rows, total=total, **values_of(wrong[0]))
+        remark = finding("wrong-verification", rows, total=total, **values_of(wrong[0]))
         validation = replace(validation, findings=(remark,))
     sigma = np.full(len(fitting), np.nan)
     sigma[fitting] = validation.sigma
@@ -87,7 +87,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
     _check_touched(calibration, groups)
-    count, chances, of_folds = int(groups.max()) + 1, [], np.zeros(4)
+    count, chances, drawn, of_folds = int(groups.max()) + 1, [], [], np.zeros(4)
     sigma = np.full(len(groups), np.nan)
     at_fit = misses_of(
         calibration.rows(calibration.counts), fits_of_all.parameters, fits_of_all.external
@@ -101,37 +101,42 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     unit = 1.0 if calibration.noise.known else max(chi2 / max(dof, 1), 1e-300)
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
-        seen_rows, unseen = groups != fold, held_rows(calibration, groups == fold)
-        fold_calibration = calibration.rows(seen_rows).at_this_noise()
-        fits = converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, seen_rows)
-        predicted = predictions(fits, unseen)
-        sums = _sums(predicted, len(unseen.measurements))
+        fitted_rows, held = groups != fold, held_rows(calibration, groups == fold)
+        fold_calibration = calibration.rows(fitted_rows).at_this_noise()
+        fits = converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, fitted_rows)
+        predicted = predictions(fits, held)
+        sums = _sums(predicted, len(held.measurements))
         chances.append(_chance(fits, sums, total))
         sigma[groups == fold] = [as_one(row[0] / unit, int(row[3])) for row in sums]
-        for target, values in misses_of(unseen, fits.parameters, fits.external).items():
+        for target, values in misses_of(held, fits.parameters, fits.external).items():
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
         of_folds += sums.sum(axis=0)
+        drawn.append(_drawn(fits, held, predicted, unit, fold))
     _, squares, unknown, equations = of_folds
     fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
-    held = float(np.sqrt(squares / equations / unit))
+    error = float(np.sqrt(squares / equations / unit))
     expected = float(fit * np.sqrt(1.0 + unknown / equations))
     p_value = least_of_folds(chances)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and open_ends[0]
     strays = _strays(fits, predicted, sums, unit, rows) if may_be_wrong else []
-    worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
+    kind = KINDS[count > 1]
+    worse = finding("held-out-worse", kind=kind, held_out=error, expected=expected, p_value=p_value)
     places = np.array(clusters(calibration.measurements))
     validation = Validation(
         folds=count,
         rows=int((groups >= 0).sum()),
         fit=fit,
-        held_out=held,
+        held_out=error,
         expected=expected,
         p_value=p_value,
         findings=(worse,) if is_worse else (),
         sigma=sigma,
         targets=tuple(
-            missed(*target, values, misses[target], places)
+            replace(
+                missed(*target, values, misses[target], places),
+                limit=_limit([fold[target] for fold in drawn]),
+            )
             for target, values in at_fit.items()
             if np.isfinite(misses[target]).any()
         ),
@@ -141,16 +146,16 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
 
 def held_rows(calibration: Calibration, rows: Mask) -> Calibration:
     """Return the calibration on rows held out, measured from others, whose points the fit knows."""
-    unseen, every = calibration.rows(rows), calibration.measurements.contacts
+    held, every = calibration.rows(rows), calibration.measurements.contacts
     if ROW not in every:
-        return unseen
-    part, index = unseen.measurements, np.flatnonzero(rows)
+        return held
+    part, index = held.measurements, np.flatnonzero(rows)
     contacts, theirs = dict(part.contacts), {every[ROW][row] for row in index}
     for column in (name for name in every if name.endswith(TO)):
         names = (every[column][row] for row in index)
         contacts[column] = tuple("" if name in theirs else name for name in names)
     contacts[ROW] = ("",) * len(index)
-    return replace(unseen, measurements=replace(part, contacts=contacts))
+    return replace(held, measurements=replace(part, contacts=contacts))
 
 
 def _check_touched(calibration: Calibration, groups: Index) -> None:
@@ -182,29 +187,29 @@ def converged(
     return fits
 
 
-def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Index, Linear]]:
-    """Return fits, rows that they have not seen, and residuals and derivatives at these."""
+def predictions(fits_of_all: Fits, held: Calibration) -> list[tuple[Fit, Index, Linear]]:
+    """Return fits, rows held out of them, and residuals and derivatives at these."""
     if fits_of_all.latent:
         (fit,) = fits_of_all.fits
-        problem, external = unseen.latent_problem, fit.last.state.external
-        state = placed(problem, unseen.measurements, fit.parameters, external)
+        problem, external = held.latent_problem, fit.last.state.external
+        state = placed(problem, held.measurements, fit.parameters, external)
         if problem.observation.setup.between:  # no pose is measured that could be near
-            readings, machine = unseen.measurements.readings, unseen.identified(fit.parameters)
-            solution = forward(machine, readings, influences=unseen.influences)
+            readings, machine = held.measurements.readings, held.identified(fit.parameters)
+            solution = forward(machine, readings, influences=held.influences)
             matrices = problem.platform.matrices(solution.poses)
             reached = solution.converged[:, None, None]
             state = replace(state, matrices=np.where(reached, matrices, state.matrices))
         linear, _ = solve_poses(poses_at_rest(problem.evaluate(state)))
-        return [(fit, np.arange(len(unseen.measurements)), linear)]
+        return [(fit, np.arange(len(held.measurements)), linear)]
     parts = []
     for fit in fits_of_all.fits:
-        problem, rows = unseen.measured_problem([leg.name for leg in fit.problem.legs])
+        problem, rows = held.measured_problem([leg.name for leg in fit.problem.legs])
         parts.append((fit, rows, problem.evaluate(problem.start(fit.parameters))))
     return parts
 
 
 def _sums(predicted: Sequence[tuple[Fit, Index, Linear]], count: int) -> Array:
-    """Return sums over all fits at each row that they have not seen, shape (count, 4).
+    """Return sums over all fits at each row held out of them, shape (count, 4).
 
     rᵀ (1 + J C Jᵀ)⁻¹ r; rᵀ r; tr(J C Jᵀ), by which the squares grow as the fits do not know all;
     and the number of equations. Noise is of unit variance.
@@ -218,6 +223,52 @@ def _sums(predicted: Sequence[tuple[Fit, Index, Linear]], count: int) -> Array:
         squares = (r**2).sum(axis=1)
         sums[rows] += np.stack(((r * weighed).sum(axis=1), squares, unknown, linear.equations), 1)
     return sums
+
+
+def _drawn(
+    fits: Fits,
+    held: Calibration,
+    predicted: Sequence[tuple[Fit, Index, Linear]],
+    unit: float,
+    seed: int,
+) -> Misses:
+    """Return by how much targets may be missed at rows held out, (N, draws); see ``misses_of``.
+
+    Readings alone place the platform there: noise, of a scale squared, and what fits do not know
+    of parameters and frames go through the legs' rows to it, and from it to what was measured.
+    """
+    _, _, linear = predicted[0]
+    if not fits.latent:
+        problem = held.latent_problem
+        start = placed(problem, held.measurements, fits.parameters, fits.external)
+        linear = problem.evaluate(start)
+    A, B, S, random = (
+        linear.by_parameter,
+        linear.by_pose,
+        linear.noise_root,
+        np.random.default_rng(seed),
+    )
+    unknown = np.zeros((A.shape[2], _DRAWN))
+    for fit, places in zip(fits.fits, fits.places, strict=True):
+        centre = np.zeros(len(places))
+        unknown[places] = random.multivariate_normal(centre, fit.covariance, _DRAWN, "ignore").T
+    noise = np.sqrt(unit) * random.standard_normal((len(S), S.shape[2], _DRAWN))
+    n, moved = linear.problem.leg_block.n_rows, S @ noise + A @ unknown
+    sound = np.isfinite(B).all(axis=(1, 2)) & np.isfinite(moved).all(axis=(1, 2))
+    B = np.where(sound[:, None, None], B, 0.0)
+    missed = moved[:, n:] - B[:, n:] @ (np.linalg.pinv(B[:, :n]) @ moved[:, :n])
+    observation, state = linear.problem.observation, linear.state
+    missed[~(observation.measured & sound[:, None])] = np.nan
+    metres = observation.metres_per_pixel(state.matrices, state.external)
+    errors = missed.transpose(0, 2, 1).reshape(-1, missed.shape[1])
+    sizes = by_target(observation, errors, np.repeat(metres, _DRAWN, axis=0))
+    return {target: values.reshape(-1, _DRAWN) for target, values in sizes.items()}
+
+
+def _limit(drawn: Sequence[Array]) -> float:
+    """Return below what the root mean square of misses, of folds (N, draws), is at 95 %."""
+    squares = np.nanmean(np.concatenate(drawn) ** 2, axis=0)
+    return float(np.sqrt(np.quantile(squares, CONFIDENCE)))
 
 
 def _strays(
@@ -253,11 +304,11 @@ def _strays(
 def _chance(fits: Fits, sums: Array, total: float | None) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
-    χ² of all rows is larger than that of the rows seen by a χ² of its own, independent of theirs;
+    χ² of all rows is larger than that of the rows fitted by a χ² of its own, independent of theirs;
     an F test where the scale of the noise was estimated (G. C. Chow 1960). To first order that is
     Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
 
-    Sums are what fits of the rows seen predict of the others, row by row (see ``_sums``), the total
+    Sums are what fits of the other rows predict of them, row by row (see ``_sums``), the total
     is χ² of all rows at this noise: by the first order if not given.
     """
     statistic, _, _, equations = sums.sum(axis=0).tolist()
@@ -265,9 +316,9 @@ def _chance(fits: Fits, sums: Array, total: float | None) -> float:
         return 1.0
     dof = fits.degrees_of_freedom
     share = 1.0 if fits.latent else chi2_freedoms(fits.fits) / max(dof, 1)
-    chi2_seen = sum(fit.chi2 for fit in fits.fits)
-    inside = statistic if total is None else max(total - chi2_seen, 0.0)
-    ratio, own_ratio = inside / equations, chi2_seen / max(dof, 1)
+    chi2_fitted = sum(fit.chi2 for fit in fits.fits)
+    inside = statistic if total is None else max(total - chi2_fitted, 0.0)
+    ratio, own_ratio = inside / equations, chi2_fitted / max(dof, 1)
     if fits.calibration.noise.known:
         _, known = noise_freedoms(fits)
         if exceeded(own_ratio, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
@@ -282,11 +333,10 @@ def least_of_folds(chances: Sequence[float]) -> float:
     return float(bdtrc(0, len(chances), min(chances)))
 
 
-def missed(target: str, unit: str, fitted: Array, unseen: Array, places: Array) -> Missed:
+def missed(target: str, unit: str, fitted: Array, held: Array, places: Array) -> Missed:
     """Return how far a target is missed, shape (N,), at rows of the fit and at those held out."""
-    known = np.isfinite(unseen)
-    values, (_, pose) = unseen[known], np.unique(places[known], return_inverse=True)
-    mean_ends, rms_ends = _ends(values, pose)
+    known = np.isfinite(held)
+    values, (_, pose) = held[known], np.unique(places[known], return_inverse=True)
     return Missed(
         target=target,
         unit=unit,
@@ -295,27 +345,17 @@ def missed(target: str, unit: str, fitted: Array, unseen: Array, places: Array) 
         mean=float(values.mean()),
         rms=float(np.sqrt((values**2).mean())),
         largest=float(values.max()),
-        mean_ends=mean_ends,
-        rms_ends=rms_ends,
+        rms_ends=_ends(values, pose),
     )
 
 
-def _ends(values: Array, pose: Index) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return ends of the intervals of mean and root mean square of misses, by poses; (N,) both."""
-    sums = np.stack(
-        [np.bincount(pose, weights=w) for w in (values, values**2, np.ones_like(values))]
-    )
+def _ends(values: Array, pose: Index) -> tuple[float, float]:
+    """Return ends of the interval of the root mean square of misses, (N,), by their poses, (N,)."""
+    sums = np.stack([np.bincount(pose, values**2), np.bincount(pose)])
     poses = sums.shape[1]
     if poses < 2:
-        return (0.0, np.inf), (0.0, np.inf)
-    random = np.random.default_rng(0)
-    chances = np.full(poses, 1.0 / poses)
-    drawn = [
-        sums @ random.multinomial(poses, chances, len(part)).T
-        for part in np.array_split(np.empty(DRAWS), min(DRAWS, 1 + DRAWS * poses // CHUNK))
-    ]
-    totals = np.concatenate(drawn, axis=1)
-    means = totals[:2] / totals[2]
-    low, high = np.quantile(means, (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2), axis=1)
-    (mean_low, square_low), (mean_high, square_high) = low.tolist(), high.tolist()
-    return (mean_low, mean_high), (square_low**0.5, square_high**0.5)
+        return 0.0, np.inf
+    chosen = np.random.default_rng(0).multinomial(poses, np.full(poses, 1.0 / poses), _CHOSEN)
+    squares, counts = sums @ chosen.T
+    low, high = np.quantile(squares / counts, (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)).tolist()
+    return low**0.5, high**0.5

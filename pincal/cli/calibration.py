@@ -185,7 +185,7 @@ def _fail_if_contradicted(result: CalibrationResult) -> None:
     if result.excess > 1.0:
         fail(1, "exit code 1, since χ² contradicts the noise")
     if result.validation and result.validation.findings:
-        fail(1, "exit code 1, since held-out rows contradict the result")
+        fail(1, f"exit code 1, since {result.validation.kind} rows contradict the result")
 
 
 @command

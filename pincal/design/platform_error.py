@@ -60,7 +60,7 @@ class PlatformError:
     """Eigenvalues of the mean squares of position and orientation, shape (2, n)."""
     degrees_of_freedom: float | None = None
     """Of the noise, where its scale was estimated; None where it is known."""
-    unseen: float = 1.0
+    unnoticed: float = 1.0
     """Factor of the limit for errors that residuals cannot show, by χ² at 95 %."""
     hidden: tuple[float, float] = (0.0, 0.0)
     """Root mean squares of the machine's errors up to that scale, beside noise, [m] and [rad]."""
@@ -120,7 +120,7 @@ class PlatformError:
             dof = max(self.degrees_of_freedom, 1)
             squares *= dof / rng.chisquare(dof, (DRAWS, 1))
         of_parameters = np.sqrt(np.quantile(squares @ self.weights.T, CONFIDENCE, axis=0))
-        position, orientation = np.hypot(self.unseen * of_parameters, self.hidden).tolist()
+        position, orientation = np.hypot(self.unnoticed * of_parameters, self.hidden).tolist()
         return position, orientation
 
     def __repr__(self) -> str:

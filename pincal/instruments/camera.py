@@ -314,7 +314,7 @@ class Camera:
             np.array([*seen]),
         )
         missed = np.full((2, *measured.shape), np.nan)
-        for half, unseen in ((rows[::2], rows[1::2]), (rows[1::2], rows[::2])):
+        for half, others in ((rows[::2], rows[1::2]), (rows[1::2], rows[::2])):
             if len(half) < _FEWEST:
                 return None
             ends = by_hand_eye(T[half], np.stack([seen[i] for i in half.tolist()]))
@@ -325,8 +325,8 @@ class Camera:
             markers = replace(self.markers, at=on, rotation=turned, known=True)
             placed = replace(self, at=at, rotation=turn, known=True, markers=markers)
             values = np.array([parameter.nominal for parameter in placed.parameters])
-            missed[0, unseen] = placed.evaluate(poses[unseen], values, measured[unseen])[0]
-            missed[1, unseen] = missed[0, unseen] * placed.metres_per_pixel(poses[unseen], values)
+            missed[0, others] = placed.evaluate(poses[others], values, measured[others])[0]
+            missed[1, others] = missed[0, others] * placed.metres_per_pixel(poses[others], values)
         return missed[0], missed[1]
 
     def begin(self, poses: Array, measured: Array, known: Mapping[str, float]) -> Array:

@@ -18,8 +18,8 @@ from pincal.estimation.observability.identifiable import WeakPair
 from pincal.formats.delta_printer import delta_printer
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
-from pincal.show.misses import WorkspaceErrors, noise_of_misses
-from pincal.show.tables import ERRORS, accuracy_table, unseen
+from pincal.show.misses import WorkspaceErrors
+from pincal.show.tables import ERRORS, accuracy_table, held_out_errors
 from pincal.words.findings import WORDINGS, sentence
 from pincal.words.numbers import amount, capital, listed, number, percent, rounded
 from pincal.words.table import Table
@@ -33,7 +33,7 @@ _NEXT = {
 }
 _MOST_PAIRS = 3  # weak pairs that are named
 _NOTED = {"tolerance-found", "points-left-out"}  # among what supports the answers
-_WRONG_ROWS = {"wrong-rows", "wrong-held-out", "outliers"}
+_WRONG_ROWS = {"wrong-rows", "wrong-verification", "outliers"}
 _MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
 _UNDETERMINED = "Parameters that had to be held move the platform at every pose"
 _FOLLOWED = "Rows, noise or model are wrong, and distort the parameters"
@@ -73,7 +73,7 @@ def answers(
     if errors is None:
         return [Answer("Is it better?", "There is no result", "bad", [_NO_RESULT]), following]
     better, tone, reason = _improvement(result, errors)
-    lines = [*_unseen_lines(result), *_limit_lines(result, errors)]
+    lines = _limit_lines(result, errors)
     lines += [_FITTED] * (result.moves_frames and errors.determined)
     lines = [f"{capital(line)}." for line in lines]
     return [
@@ -121,8 +121,9 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
 
 
 def _by(result: CalibrationResult, errors: WorkspaceErrors) -> str:
-    """Return from what the error falls to what: at unseen poses where no limit is stated."""
-    missed = [f"{amount(size, unit)} at unseen poses" for unit, size in unseen(result).items()]
+    """Return from what the error falls to what: at held-out poses where no limit is stated."""
+    held = f"{result.validation.kind} poses" if result.validation else ""
+    missed = [f"{amount(size, unit)} at {held}" for unit, size in held_out_errors(result).items()]
     if not result.explained:
         return missed[0] if missed else "No accuracy can be stated"
     if not errors.determined or not errors.moved:
@@ -134,29 +135,13 @@ def _by(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     return f"{before} → {below if result.promises else unsure}"
 
 
-def _unseen_lines(result: CalibrationResult) -> list[str]:
-    """Return how far held-out poses are missed, and how far they would be by noise alone."""
-    if not (missed := unseen(result)) or result.validation is None:
-        return []
-    unit, size = next(iter(missed.items()))
-    noise, columns = noise_of_misses(result)[unit], result.options.setup.positions
-    axes = [name for names in columns(result.nominal.platform).values() for name in names]
-    measured = [group.name for group in result.observed if group.name in axes]
-    along = f" in {named(measured)}" if unit == "m" and 0 < len(measured) < len(axes) else ""
-    along = along or " across lines of sight" * (not measured and "px" in missed)
-    poses = counted(max(target.poses for target in result.validation.targets), "unseen pose")
-    source = "instrument" + " and reading" * (result.noise is None or result.noise.reading > 0.0)
-    alone = f" ({source} noise alone: {number(noise, unit)})" if noise else ""
-    return [f"{poses}: {amount(size, unit)}{along}{alone}"]
-
-
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     lines = [_noise_line(result), *check_lines(result)[:1], *_found_lines(result)]
     if result.outliers:
         lines.append(f"not fitting the others: {_rows(result.outliers)}")
     shown, tone = "No problems found", "good"
     if result.validation is None:
-        shown, tone = "Not tested on unseen poses", "care"
+        shown, tone = "No poses were held out", "care"
     if count := len(warnings(result)):
         trust, tone = ("With care", "care") if result.promises else (_NOT_YET, "bad")
         shown = f"{trust}: {counted(count, 'warning')}"
@@ -193,14 +178,14 @@ def next_steps(
 
 
 def _uses(result: CalibrationResult, folder: str) -> list[str]:
-    view, inverse = f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"
-    deploy = f"pincal deploy {folder} -o CONTROLLER"
+    deploy, view = f"pincal deploy {folder} -o CONTROLLER", f"pincal view {folder}"
+    inverse = f"pincal inverse {folder} POSES.csv -o READINGS.csv"
     with suppress(MechanismError):
         delta_printer(result.identified)
-        return [f"pincal export {folder} -o printer.cfg", view, inverse]
+        return [f"pincal export {folder} -o printer.cfg", deploy, view]
     if result.nominal.by_readings and len(result.legs) == 1:
-        return [f"pincal export {folder} --original ROBOT.urdf -o CALIBRATED.urdf", view, deploy]
-    return [view, deploy, inverse]
+        return [f"pincal export {folder} --original ROBOT.urdf -o CALIBRATED.urdf", deploy, view]
+    return [deploy, inverse, view]
 
 
 def command_block(step: str) -> Markup:
@@ -238,7 +223,7 @@ def summary(
     if errors is None:
         return [*notes]
     lines = [*rejected_lines(result), *_limit_lines(result, errors), *_found_lines(result)]
-    return [*_unseen_lines(result), accuracy_table(result, errors), *lines, *notes]
+    return [accuracy_table(result, errors), *lines, *notes]
 
 
 def _found_lines(result: CalibrationResult) -> list[str]:
@@ -354,15 +339,15 @@ def check_lines(result: CalibrationResult) -> list[str]:
     """Return how held-out rows compare, and how far held-out targets are missed."""
     if (validation := result.validation) is None:
         return []
-    folds, count = validation.folds, validation.rows
-    rows = f"{folds} folds" if folds > 1 else f"{count} rows reserved for verification"
+    folds, count, kind = validation.folds, validation.rows, validation.kind
+    rows = f"{folds} folds" if folds > 1 else f"{count} rows"
     if validation.fit > MISSES:
         return [
-            "held-out rows prove nothing: the fit misses even its own rows by "
+            f"{kind} rows prove nothing: the fit misses even its own rows by "
             f"{validation.fit:.3g} σ ({rows}). See the warnings first"
         ]
     compared = (
-        f"held-out error {validation.held_out:.2f} σ, {validation.expected:.2f} σ is expected; "
+        f"{kind} error {validation.held_out:.2f} σ, {validation.expected:.2f} σ is expected; "
         f"in the fit {validation.fit:.2f} σ ({rows})"
     )
     lines = [compared]
@@ -370,7 +355,7 @@ def check_lines(result: CalibrationResult) -> list[str]:
         unit, (low, high) = missed.unit, missed.rms_ends
         ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if np.isfinite(high) else ""
         lines.append(
-            f"held-out {ERRORS[unit]} error of {missed.target!r}: {amount(missed.rms, unit)}{ends} "
+            f"{kind} {ERRORS[unit]} error of {missed.target!r}: {amount(missed.rms, unit)}{ends} "
             f"RMS of {counted(missed.poses, 'pose')}, {number(missed.mean, unit)} on average, "
             f"{number(missed.largest, unit)} at most; in the fit {number(missed.fit, unit)}"
         )

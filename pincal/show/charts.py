@@ -52,7 +52,7 @@ class Plots:
         groups, held = noisy_residuals(result), result.validation
         lanes = [(shortened(group.name), group.rows, group.standardised) for group in groups]
         if held is not None:
-            lanes.append(("held out", np.arange(len(held.sigma)), held.sigma))
+            lanes.append((held.kind, np.arange(len(held.sigma)), held.sigma))
         sizes = [np.nanmax(np.abs(values), initial=0.0) for _, _, values in lanes]
         lane = max(6.0, 2.2 * float(max(sizes, default=0.0)))  # from one kind to the next
         for index, (_, rows, values) in enumerate(lanes):
@@ -155,7 +155,7 @@ class Plots:
         return ax
 
     def bed(self, ax: Axes | None = None) -> Axes:
-        """Draw a bed map: by how much z is off over the bed with the nominal model, as probed.
+        """Draw the bed map: by how much z is off over the bed with the nominal model, as probed.
 
         At the height of home, less what motions of frames explain that were fixed by choice.
 

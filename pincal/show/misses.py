@@ -13,13 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.calibration.promise import apart, by_target, errors_inside, measured_plan
+from pincal.calibration.promise import apart, errors_inside, measured_plan
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import ResidualGroup
 from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
 from pincal.errors import WorkspaceError
-from pincal.estimation.problem import Problem
-from pincal.estimation.unknowns import External, State
+from pincal.estimation.unknowns import External
 from pincal.instruments.camera import Camera
 from pincal.instruments.lens import Lens
 from pincal.kinematics.configurations import as_plan, legs_at
@@ -79,7 +78,7 @@ def camera_misses(result: CalibrationResult) -> list[CameraMisses]:
 
 
 def hand_eye_misses(result: CalibrationResult) -> dict[str, float]:
-    """Return by how much hand–eye calibration misses photos that it has not seen, [px] and [m].
+    """Return by how much hand–eye calibration misses held-out photos, [px] and [m].
 
     Root mean squares over points, by unit, of the machine as drawn and the lenses as calibrated;
     nothing without OpenCV, or where cameras see no board of known points.
@@ -206,36 +205,6 @@ def errors_at(
     expected, inside = errors_inside(result, plan)
     moved, units = apart(result, plan, result.begun, result.identified)
     return WorkspaceErrors(plan.poses, sizes(units, moved), expected, inside, region)
-
-
-def noise_of_misses(result: CalibrationResult) -> dict[str, float]:
-    """Return by how much targets of unseen rows are missed because of noise alone, [m] and [rad].
-
-    By their unit: root mean squares of the noise of what was measured, and of readings, by which
-    the platform is predicted elsewhere; nothing where no row was held out.
-    """
-    noise, data, validation = result.noise, result.measurements, result.validation
-    if validation is None:
-        return {}
-    calibration = result.calibration if noise is None else result.calibration.with_noise(noise)
-    block = calibration.leg_block(range(len(result.legs)), np.arange(len(data)))
-    row_noise = calibration.observation.row_noise(data, calibration.noise.noise)
-    observation, n = calibration.observation.with_noise(row_noise), block.n_rows
-    parameters = np.concatenate([leg.nominal for leg in result.identified.legs])
-    matrices = result.nominal.platform.matrices(result.poses)
-    state = State(parameters, matrices, external=result.outside or External())
-    linear = Problem(block, observation).evaluate(state)
-    B, S = linear.by_pose, linear.noise_root
-    known = np.isfinite(B).all(axis=(1, 2)) & np.isfinite(validation.sigma)
-    sigmas = np.full(observation.measured.shape, np.nan)
-    predicted = np.linalg.pinv(B[known, :n]) @ S[known, :n]
-    sigmas[known] = np.linalg.norm(S[known, n:] - B[known, n:] @ predicted, axis=2)
-    sizes: dict[str, list[float]] = {}
-    sigmas[~observation.measured] = np.nan
-    metres = observation.metres_per_pixel(matrices, state.external)
-    for (_, unit), size in by_target(observation, sigmas, metres).items():
-        sizes.setdefault(unit, []).append(float(np.nanmean(size**2)))
-    return {unit: float(np.sqrt(np.mean(squares))) for unit, squares in sizes.items()}
 
 
 def effects(result: CalibrationResult) -> tuple[dict[str, float], str]:

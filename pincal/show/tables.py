@@ -185,12 +185,14 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
 def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     """Return the platform's errors: nominal, calibrated, and as measured at poses held out.
 
-    The last, of which noise is a part, stand for the calibrated ones where no limit is stated.
+    Noise is a part of the last, and of their limit; they stand for the calibrated ones where no
+    limit is stated.
     """
-    missed, region, rows = unseen(result), "", dict[str, dict[str, str]]()
+    missed, region, rows = held_out_errors(result), "", dict[str, dict[str, str]]()
     if result.explained and errors.determined and errors.moved:
         scale = " and scale" * any(free.code == "gauge-scale" for free in result.gauge)
-        region = f" {errors.where}{f', best-fit frames{scale}' * result.moves_frames}"
+        frames = f"best-fit frames{scale}" if result.moves_frames else "base frame"
+        region = f" {errors.where}, {frames}"
         sizes = zip(errors.mean_before(), errors.mean_after(), errors.inside.limit, strict=True)
         for unit, (before, after, limit) in zip(("m", "rad"), sizes, strict=True):
             below = f"{number(after, unit)} (≤ {number(limit, unit)})"
@@ -198,9 +200,11 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
             rows.setdefault("nominal", {})[unit] = number(before, unit)
             rows.setdefault("calibrated", {})[unit] = shown
     if missed:
-        rows["unseen"] = {unit: number(size, unit) for unit, size in missed.items()}
+        rows |= [_held_out_row(result)]
         if by_hand_eye := hand_eye_misses(result):
-            rows["unseen by hand–eye"] = {u: number(size, u) for u, size in by_hand_eye.items()}
+            rows["held-out photos by hand–eye"] = {
+                u: number(size, u) for u, size in by_hand_eye.items()
+            }
     units = dict.fromkeys([*errors.expected.units, *missed])
     return Table(
         f"RMS error{region}",
@@ -209,7 +213,23 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     )
 
 
-def unseen(result: CalibrationResult) -> dict[str, float]:
+def _held_out_row(result: CalibrationResult) -> tuple[str, dict[str, str]]:
+    """Return which poses were held out, along some axes alone if so, and by unit what they miss."""
+    assert result.validation is not None
+    targets, columns = result.validation.targets, result.options.setup.positions
+    axes = [name for names in columns(result.nominal.platform).values() for name in names]
+    measured = [group.name for group in result.observed if group.name in axes]
+    along = f" in {named(measured)}" if 0 < len(measured) < len(axes) else ""
+    along = along or " across lines of sight" * (not measured and "px" in result.validation.missed)
+    count = max(target.poses for target in targets)
+    cells = {}
+    for unit, size in held_out_errors(result).items():
+        limit = np.sqrt(np.mean([target.limit**2 for target in targets if target.unit == unit]))
+        cells[unit] = f"{number(size, unit)} (with noise ≤ {number(float(limit), unit)})"
+    return f"{counted(count, f'{result.validation.kind} pose')}{along}", cells
+
+
+def held_out_errors(result: CalibrationResult) -> dict[str, float]:
     """Return by how much held-out targets are missed, by unit; nothing if a fit misses its own."""
     if result.validation is None or result.validation.fit > MISSES:
         return {}

@@ -116,17 +116,17 @@ FINDINGS: dict[str, Wording] = {
         title="many rows do not fit",
     ),
     "held-out-worse": Wording(
-        "held-out rows miss by {held_out|f(2)} σ where {expected|f(2)} σ is expected "
-        "({p_value|chance}): the model fits its own rows better than the machine",
+        "{kind|default('held-out')} rows miss by {held_out|f(2)} σ where {expected|f(2)} σ is "
+        "expected ({p_value|chance}): the model fits its own rows better than the machine",
         "Measure more poses, or hold parameters (--fixed)",
-        title="held-out rows miss by more than expected",
+        title="rows that were held out miss by more than expected",
     ),
-    "wrong-held-out": Wording(
-        "{rows|length} of {total} held-out rows do{'es' if rows|length == 1} not fit: "
+    "wrong-verification": Wording(
+        "{rows|length} of {total} verification rows do{'es' if rows|length == 1} not fit: "
         "{'' if rows|length == 1 else 'worst '}data row {row}, by {sigma|f(0)} σ ({quantity} off "
         "by {off|f(0)} σ); the others fit",
         "Measure {them} again, or leave {them} out (--loss reject)",
-        title="a held-out row does not fit",
+        title="a verification row does not fit",
     ),
     "tolerance-found": Wording(
         "{% set kinds = {'m': 'lengths', 'rad': 'angles', '1': 'gains'}[unit] %}"

@@ -179,7 +179,9 @@ def _pages() -> Environment:
         autoescape=True,
         keep_trailing_newline=True,
         finalize=lambda value: (
-            clean(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
+            value
+            if not isinstance(value, str) or hasattr(value, "__html__")
+            else clean(value).replace("≤ ", "≤\xa0")  # kept in one line
         ),
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -1,4 +1,4 @@
-"""Which terms pay: models compared on rows that they have not seen, the simplest of the best kept.
+"""Which terms pay: models compared on held-out rows, the simplest of the best kept.
 
 Models are nested: the machine as drawn, its geometry identified, and one kind of term more each
 time, the one that the screen of the residuals names first. Each fold goes this way by the rows that
@@ -66,18 +66,18 @@ class Model:
             unknown.map.shape[1] - int((unknown.priors <= _PINNED).sum()) for unknown in unknowns
         )
 
-    def errors(self, unseen: Calibration) -> Array:
-        """Return squared white residuals at rows not seen, how many they are, and mean squares.
+    def errors(self, held: Calibration) -> Array:
+        """Return squared white residuals at held-out rows, how many they are, and mean squares.
 
         These are of what targets are missed by, [m²] and [rad²]; shape (N, 4).
         """
-        unseen = replace(unseen, mechanism=self.fits.calibration.mechanism)
-        errors = np.tile([0.0, 0.0, np.nan, np.nan], (len(unseen.measurements), 1))
-        misses = misses_of(unseen, self.fits.parameters, self.fits.external)
+        held = replace(held, mechanism=self.fits.calibration.mechanism)
+        errors = np.tile([0.0, 0.0, np.nan, np.nan], (len(held.measurements), 1))
+        misses = misses_of(held, self.fits.parameters, self.fits.external)
         for column, unit in ((2, "m"), (3, "rad")):
             if squares := [values**2 for (_, of), values in misses.items() if of == unit]:
                 errors[:, column] = _mean_of_known(squares)
-        for _, rows, linear in predictions(self.fits, unseen):
+        for _, rows, linear in predictions(self.fits, held):
             errors[rows, 0] += linear.squares
             errors[rows, 1] += linear.equations
         return errors
@@ -200,17 +200,17 @@ def _grown(geometry: Fits, pairs: Sequence[Pair], most: int) -> tuple[list[Model
     return models, of_geometry
 
 
-def _errors_of_fold(models: Sequence[Model], seen: Mask, pairs: Sequence[Pair]) -> list[Array]:
-    """Return errors of rows not seen, as drawn and by geometry first; raises if these fail."""
+def _errors_of_fold(models: Sequence[Model], fitted: Mask, pairs: Sequence[Pair]) -> list[Array]:
+    """Return errors of held-out rows, as drawn and by geometry first; raises if these fail."""
     drawn, geometry = (
-        converged(model.fits.calibration.rows(seen), "the search", model.fits, seen)
+        converged(model.fits.calibration.rows(fitted), "the search", model.fits, fitted)
         for model in models[:2]
     )
     grown, _ = _grown(geometry, pairs, len(models) - 2)
-    unseen, errors = held_rows(models[1].fits.calibration, ~seen), list[Array]()
+    held, errors = held_rows(models[1].fits.calibration, ~fitted), list[Array]()
     for model in (Model("", drawn), Model("", geometry), *grown):
         try:
-            errors.append(model.errors(unseen))
+            errors.append(model.errors(held))
         except _TROUBLE:
             if len(errors) < 2:
                 raise

@@ -81,8 +81,8 @@ def check_information(
         if roots is None:
             W = white.by_noise
             draws = rng.standard_normal((len(W), W.shape[2], 1))
-            unseen = draws - W.transpose(0, 2, 1) @ (W @ draws)  # what white rows do not see
-            twists = white.poses_by(white.noise @ unseen)
+            hidden = draws - W.transpose(0, 2, 1) @ (W @ draws)  # what white rows do not see
+            twists = white.poses_by(white.noise @ hidden)
         else:
             twists = roots @ rng.standard_normal((*roots.shape[:2], 1))
         matrices = problem.platform.displaced(linear.state.matrices, twists[:, :, 0])

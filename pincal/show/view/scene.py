@@ -16,7 +16,8 @@ from scipy.spatial.transform import RigidTransform
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.configurations import command, shifted
+from pincal.kinematics.batches import least_squares
+from pincal.kinematics.configurations import command, legs_at
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
@@ -31,6 +32,7 @@ _SEEN = 0.03  # of the scene's size: errors of a machine that are seen
 _LONG, _LONGEST = 0.08, 0.5  # of the scene's size: a long arrow; where it is cut
 _TOUCHED = 7  # pixels of a point that targets touch
 _HEAD = 0.2  # of an arrow's length
+_STEPS, _STEP, _TURNS, _NEAR = 50, 0.5, 1e-3, 1e-4  # of dragging: most, longest; weight; met
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,13 +234,13 @@ def moved(shown: Scene, row: int, shift: Array) -> Scene:
         raise MechanismError(f"moved by an array of shape {shift.shape}; expected ({width},)")
     if mechanism.by_readings:
         plan = Plan(pose, readings=readings + shift[:width])
-        if carried:
-            plan = shifted(mechanism, plan, lambda _: shift[None, width:])
-        poses, read, (reason,) = command(mechanism, plan)
-        missed = np.abs(poses - plan.poses)[:, : carried * platform.lengths]
-        if reason or missed.max(initial=0.0) > 1e-6 * mechanism.size:
-            raise MechanismError(reason or "out of reach")
-        plan = Plan(poses, readings=read)
+        poses, _, (reason,) = command(mechanism, plan)
+        if carried and not reason:
+            plan = _carried(mechanism, Plan(poses, readings=plan.readings), shift[width:])
+            poses, _, (reason,) = command(mechanism, plan)
+        if reason:
+            raise MechanismError(reason)
+        plan = Plan(poses, readings=plan.readings)
     else:
         matrices = platform.displaced(platform.matrices(pose), shift[None])
         measured = None if shown.plan.readings is None else np.full_like(readings, np.nan)
@@ -247,6 +249,33 @@ def moved(shown: Scene, row: int, shift: Array) -> Scene:
     if problem := moved_scene.body.problems[0]:
         raise MechanismError(problem)
     return moved_scene
+
+
+def _carried(mechanism: Mechanism, plan: Plan, shift: Array) -> Plan:
+    """Return a configuration with the platform shifted, turned as it was as far as it can be.
+
+    By Gauss–Newton steps of the readings; turns weigh little, so that an arm of few joints follows.
+
+    Raises:
+        MechanismError: out of reach.
+    """
+    platform, legs = mechanism.platform, legs_at(mechanism, plan)
+    goal = platform.matrices(plan.poses).copy()
+    goal[:, :3, 3] += shift
+    goal_pose = platform.from_matrices(goal)
+    weights = np.where(np.array(platform.units) == "m", 1.0, _TURNS * mechanism.size)
+    for _ in range(_STEPS):
+        off = weights * platform.twists_between(legs.poses, goal_pose)[0]
+        by_readings = -weights[:, None] * least_squares(legs.pose, legs.reading)[0]
+        step = np.linalg.lstsq(by_readings, off)[0]
+        step *= min(1.0, _STEP / np.abs(step).max(initial=1e-12))
+        trial = legs_at(mechanism, Plan(legs.poses, readings=legs.readings + step))
+        if not trial.reached.all() or np.abs(step).max() < 1e-10:
+            break
+        legs = trial
+    if np.linalg.norm(off[: platform.lengths]) > _NEAR * mechanism.size:
+        raise MechanismError("out of reach")
+    return Plan(legs.poses, readings=legs.readings)
 
 
 # What a calibration found
