@@ -52,6 +52,7 @@ SHAPES = {
 class Relation(NamedTuple):
     """A condition between the target of a row and a feature that rows share."""
 
+    name: str
     target: str
     shape: str
     column: str
@@ -64,6 +65,8 @@ class Relation(NamedTuple):
     """What each of them is: a coordinate x, y or z of w, or r."""
     read: tuple[str, ...]
     """Those that columns have; the others are zero."""
+    noise: float | None
+    """Their standard deviation, [m], if the setup says it."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +88,13 @@ class Distance:
         must_be(self.target, str, "target of a distance", MeasurementError)
         check_sizes(self, ("noise",) * (self.noise is not None), "distance's", MeasurementError)
 
-    def relation(self, column: str) -> Relation:
-        """Return what it says of rows, read in a column."""
+    def relation(self, name: str, _space: int) -> Relation:
+        """Return what it says of rows, read in the column of its name."""
         way = "r" if self.along is None else "xyz"[self.along]
-        owner, leads = (column, "") if self.point else (ROW, f"{column}{TO}")
-        return Relation(self.target, "sphere", leads, owner, (column,), way, (column,))
+        owner, leads = (name, "") if self.point else (ROW, f"{name}{TO}")
+        return Relation(
+            name, self.target, "sphere", leads, owner, (name,), way, (name,), self.noise
+        )
 
 
 @dataclass(frozen=True)
@@ -159,11 +164,14 @@ class Contact:
         x /= np.linalg.norm(x)
         return np.column_stack((x, np.cross(z, x), z))
 
-    def relation(self, column: str, space: int) -> Relation:
-        """Return what it says of rows that name in a column what they meet."""
+    def relation(self, name: str, space: int) -> Relation:
+        """Return what it says of rows that name in the column of its name what they meet."""
         ways = SHAPES[space].get(self.shape, SHAPES[3][self.shape])[0]
-        names = tuple(f"{column}_{way}" for way in ways)
-        return Relation(self.target, self.shape, column, column, names, ways, names[: self.gauge])
+        missed_by = tuple(f"{name}_{way}" for way in ways)
+        read = missed_by[: self.gauge]
+        return Relation(
+            name, self.target, self.shape, name, name, missed_by, ways, read, self.noise
+        )
 
     def place(self, name: str, space: int) -> tuple[Array, Array]:
         """Return coordinates of what has a name, and standard deviations, 0 if known, (6,) each.

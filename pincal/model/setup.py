@@ -117,12 +117,11 @@ class Setup:
         if self.mark not in {ORIGIN, *self.targets}:
             raise MeasurementError(f"mark is {self.mark!r}; expected one of {listed(self.targets)}")
         object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
-        measured: dict[str, Distance | Contact] = {**self.distances, **self.contacts}
-        for column, entry in measured.items():
-            if entry.target not in self.targets:
+        for relation in self.relations(3):
+            if relation.target not in self.targets:
                 raise MeasurementError(
-                    f"{column!r} is measured to a target {entry.target!r}; expected one of "
-                    f"{', '.join(self.targets)}"
+                    f"{relation.name!r} is measured to a target {relation.target!r}; expected one "
+                    f"of {', '.join(self.targets)}"
                 )
         must_be(self.corners, (str, type(None)), "corners", MeasurementError)
         must_be(self.tracker, (Tracker, type(None)), "tracker", MeasurementError)
@@ -180,8 +179,6 @@ class Setup:
             names: Names by column, ``row`` and those ending in ``_to``, empty for none.
         """
         columns = [name for name in names if name.endswith(TO)]
-        if not columns:
-            return self
         rows = dict.fromkeys(name for column in columns for name in names[column] if name)
         if not rows:
             return self
@@ -277,8 +274,8 @@ class Setup:
 
     def relations(self, space: int) -> list[Relation]:
         """Return what targets meet, distances first; in space or, 2, in the plane."""
-        relations = [distance.relation(column) for column, distance in self.distances.items()]
-        return relations + [c.relation(column, space) for column, c in self.contacts.items()]
+        parts: dict[str, Distance | Contact] = {**self.distances, **self.contacts}
+        return [part.relation(name, space) for name, part in parts.items()]
 
     @property
     def read_lengths(self) -> list[str]:
@@ -292,15 +289,13 @@ class Setup:
 
     def contact_axes(self, platform: Platform) -> dict[str, list[str]]:
         """Return the quantities of each contact: by how much what is touched is missed."""
-        relations = self.relations(platform.space)[len(self.distances) :]
-        return {relation.owner: list(relation.quantities) for relation in relations}
+        relations = self.relations(platform.space)
+        return {r.name: list(r.quantities) for r in relations if r.name in self.contacts}
 
     def noises(self, platform: Platform) -> dict[str, float]:
         """Return standard deviations that the setup says, by quantity, [m]."""
-        axes = {name: [name] for name in self.distances} | self.contact_axes(platform)
-        parts: dict[str, Distance | Contact] = {**self.distances, **self.contacts}
-        known = {name: part.noise for name, part in parts.items() if part.noise is not None}
-        return {quantity: noise for name, noise in known.items() for quantity in axes[name]}
+        relations = self.relations(platform.space)
+        return {q: r.noise for r in relations if r.noise is not None for q in r.quantities}
 
     def positions(self, platform: Platform) -> dict[str, list[str]]:
         """Return the columns of each target's position."""
@@ -334,8 +329,7 @@ class Setup:
             )
         platform = mechanism.platform
         groups: list[Mapping[str, str]] = [self.points(platform)]
-        groups.append(dict.fromkeys(self.distances, "m"))
-        groups += [dict.fromkeys(axes, "m") for axes in self.contact_axes(platform).values()]
+        groups += [dict.fromkeys(r.quantities, "m") for r in self.relations(platform.space)]
         groups += [item.columns for item in self.instruments]
         named = [*self.contacts, *(name for group in groups for name in group)]
         taken = {*mechanism.leg_names, *mechanism.reading_names, *platform.freedoms}
