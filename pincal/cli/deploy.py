@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 import pincal
 from pincal.cli.app import command, wrote
 from pincal.cli.options import Force, output_option
+from pincal.show.deployment import GridOptions
 
 
 @command
@@ -18,6 +20,7 @@ def deploy(
         str, typer.Argument(metavar="RESULT", help="Folder of a calibration; or a mechanism.")
     ],
     output: Annotated[Path, output_option("FOLDER", "Kinematics, data sheet and how to use them.")],
+    correction: GridOptions,
     force: Force = False,
 ) -> None:
     """Write kinematics for a controller.
@@ -25,7 +28,12 @@ def deploy(
     How do I command the robot now? Inverse and forward kinematics as one Python file and one C99
     header that need nothing else, in the frames that were measured; joint centres and lengths with
     standard errors; HAL lines for LinuxCNC where the machine is a hexapod. FOLDER/commanding.md
-    says how to use them. For URDF, MJCF and printers see 'pincal export'.
+    says how to use them.
+
+    Where the controller's geometry cannot be changed, --grid 4096 adds what to command in place of
+    each pose (corrections.csv, and a function in both files), and says what error that leaves.
+
+    For URDF, MJCF and printers see 'pincal export'.
     """
-    pincal.deploy(machine, output, force=force)
+    pincal.deploy(machine, output, force=force, **asdict(correction))
     wrote(output)

@@ -64,6 +64,7 @@ _ONLY = {
     "probed": ("klipper", "reprap", "marlin"),
     "original": ("urdf",),
     "poses": ("table",),
+    "controller": ("table",),
     "units": ("table",),
 }
 _ROWS = 1000  # of a grid over the workspace, about
@@ -238,6 +239,12 @@ class ExportOptions(TableOptions):
         "grid over the workspace].",
         metavar="POSES.csv",
     )
+    controller: Path | None = option(
+        None,
+        "Mechanism that the controller of the table knows, such as the nominal one [default: MECH "
+        "without its terms].",
+        metavar="MECH",
+    )
     force: bool = option(False, FORCE)
 
 
@@ -265,7 +272,8 @@ def export(
     calibrate'; URDFs of its legs are in its folder 'mechanism'.
 
     These formats cannot hold terms of sensors, lengths and angles. A table of corrections over
-    poses (.csv) can: what to add to readings, or which pose to command instead.
+    poses (.csv) can: what to add to readings, or which pose to command instead. With --controller
+    it is for one that knows another mechanism; 'pincal deploy --grid' is for the whole workspace.
     """
     form = OUTPUTS.get(output.suffix.lower())
     if form is None:
@@ -324,15 +332,16 @@ def _columns(mechanism: Mechanism) -> list[str]:
 
 def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptions) -> None:
     """Write corrections over poses."""
-    if not mechanism.amplitudes:
+    other = options.controller is not None
+    if not (mechanism.amplitudes or other):
         raise MechanismError(
             f"{mechanism.name!r} has no terms: a controller with its geometry, gains and offsets "
-            "needs no correction"
+            "needs no correction; one with other geometry does (--controller MECH)"
         )
     units, poses = options.written_in(mechanism), options.poses
     plan = None if poses is None else read_poses(poses, mechanism)
     influences = {} if plan is None else own_influences(mechanism, plan.influences)
-    if not (influences or mechanism.loaded or mechanism.at_reference.amplitudes):
+    if not (other or influences or mechanism.loaded or mechanism.at_reference.amplitudes):
         raise MechanismError(
             f"all terms of {mechanism.name!r} follow {first_of(_columns(mechanism), ', ')}: at "
             "their reference there is nothing to correct; give poses with these columns (--poses)"
@@ -340,7 +349,7 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
     if plan is None:
         with working("sampling the workspace for a grid of poses"):
             plan = Plan(grid_poses(mechanism, _ROWS))
-    table = pincal.corrections(mechanism, plan)
+    table = pincal.corrections(mechanism, plan, options.controller)
     written = correction_columns(mechanism, table, plan.written or "tilt-torsion")
     counts = {**units.counts, **{f"{CORRECTION}{k}": v for k, v in units.counts.items()}}
     write_table(output, written, units=replace(units, counts=counts), force=options.force)

@@ -2,38 +2,83 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from string import Template
+from typing import Any
 
 import numpy as np
 
 from pincal import __version__
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, load_result
+from pincal.design.platform_error import sizes
+from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import as_mechanism
 from pincal.files.output import writing
 from pincal.files.table import write_table
 from pincal.formats import deployed
+from pincal.formats.corrections import correction_grid, grid_columns
 from pincal.formats.deployed.files import c_header, python_file
 from pincal.formats.deployed.geometry import genhexkins, geometry_sheet
 from pincal.formats.deployed.tables import Deployed
 from pincal.kinematics.configurations import inverse
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.option import option, option_of
 from pincal.model.relations import ORIGIN
+from pincal.model.setup import Setup
 from pincal.types import Array
+from pincal.words.numbers import amount
+from pincal.workspace.limits import Limits
+from pincal.workspace.sampling import sample_workspace
 
 SHEET, HOW_TO, LINUXCNC = "geometry.csv", "commanding.md", "linuxcnc.hal"
+CORRECTIONS = "corrections.csv"
+_UNSEEN = 500  # poses at which a grid is tried; it is fitted to three for each node, and as many
+_FEW = 100  # poses in a box, of which a quarter are for trying
+_GRID = """
+## A controller whose geometry cannot be changed
+
+Command `corrected(T)` (C: `{}_corrected(T, commanded)`) in place of T: `corrections.csv` has its
+grid: poses, and what to command there; it is linear between. Poses that were not used for it are
+then missed by {}; without it by {}.
+"""
+_log = logging.getLogger(__name__)
 _NEAR = {
     False: "Give `near`, joints of the last call, where the machine may bend in several ways.",
     True: "An arm reaches a pose in several ways: `near`, joints of the last call, say which.",
 }
 
 
+@dataclass(frozen=True)
+class GridOptions:
+    """Corrections for a controller whose geometry cannot be changed."""
+
+    grid: int = option(
+        0,
+        "Correct commanded poses on a grid of so many nodes, for a controller whose geometry "
+        "cannot be changed; 4096 is a good number.",
+        most=5000,
+    )
+    box: str = option("", option_of(Limits, "box"))
+    controller: Path | None = option(
+        None,
+        "Mechanism that this controller knows [default: RESULT's nominal one].",
+        metavar="MECH",
+    )
+
+
 def deploy(
-    machine: CalibrationResult | Mechanism | str | Path, folder: str | Path, *, force: bool = False
+    machine: CalibrationResult | Mechanism | str | Path,
+    folder: str | Path,
+    *,
+    force: bool = False,
+    **correction: Any,
 ) -> None:
     """Write what a controller needs of a machine to a folder.
 
@@ -46,9 +91,12 @@ def deploy(
             written too; or a mechanism, its name or its folder.
         folder: Where to write.
         force: Overwrite what is there.
+        **correction: ``grid``, ``box``, ``controller`` of ``GridOptions``: corrections of
+            commanded poses, as ``corrections.csv`` and ``corrected`` of both files.
 
     Raises:
-        MechanismError: terms that no file can hold.
+        MechanismError: terms that no file can hold; a grid for a machine whose poses do not
+            determine readings, or which has more of these than freedoms.
         MeasurementError: a result that did not converge.
         FileError: the folder exists, or cannot be written.
 
@@ -64,7 +112,12 @@ def deploy(
     result = machine if isinstance(machine, CalibrationResult) else None
     if result is not None and not result.converged:
         raise MeasurementError("the fit did not converge, so there is no machine to deploy")
+    options = GridOptions(**correction)
     wanted = Deployed(as_mechanism(machine)) if result is None else _deployed(result)
+    misses = ("", "")
+    if options.grid:
+        nominal = wanted.mechanism if result is None else result.nominal
+        wanted, misses = _with_grid(wanted, as_mechanism(options.controller or nominal), options)
     uncertain = None if result is None else _uncertain(result)
     mechanism = wanted.mechanism
     prefix = re.sub(r"[^a-z0-9]", "_", mechanism.name.lower())
@@ -77,10 +130,50 @@ def deploy(
         unsure = ", which states no limit of its error: see its report" * (not result.promises)
         source = f"a calibration{unsure}"
     files[HOW_TO] = _how_to(wanted, prefix, source, LINUXCNC in files)
-    with writing(folder, force=force, folder=(*files, SHEET)) as scratch:
+    tables = [SHEET]
+    if options.grid:
+        files[HOW_TO] += _GRID.format(prefix, *misses)
+        tables.append(CORRECTIONS)
+    with writing(folder, force=force, folder=(*files, *tables)) as scratch:
         for name, text in files.items():
             (scratch / name).write_text(text, "utf-8")
         write_table(scratch / SHEET, geometry_sheet(mechanism, uncertain))
+        if wanted.grid is not None:
+            write_table(scratch / CORRECTIONS, grid_columns(mechanism, wanted.grid))
+
+
+def _with_grid(
+    wanted: Deployed, controller: Mechanism, options: GridOptions
+) -> tuple[Deployed, tuple[str, str]]:
+    """Return what is deployed with corrections on a grid, and misses with and without, in words."""
+    machine, platform = wanted.mechanism, wanted.mechanism.platform
+    if machine.by_readings:
+        raise MechanismError(
+            f"poses of {machine.name!r} do not determine its readings, so they have no grid of "
+            "corrections; correct the poses of a program: pincal.corrections(…, controller=…)"
+        )
+    count = 3 * options.grid + 2 * _UNSEEN
+    drawn = sample_workspace(machine, count * (8 if options.box else 1))
+    poses = drawn[Limits(options.box).allow(machine, Plan(drawn), Setup())]
+    if len(poses) < _FEW:
+        raise MechanismError(f"{len(poses)} of {len(drawn)} poses are within --box; widen it")
+    tried = min(_UNSEEN, len(poses) // 4)
+    poses, unseen = poses[tried:count], poses[:tried]
+    grid = correction_grid(machine, controller, Plan(poses), options.grid)
+
+    def missed_by(commands: Array) -> str:
+        errors = platform_errors(controller, machine, commands)
+        reached = np.isfinite(errors).all(axis=1)
+        arrived = platform.moved(commands[reached], errors[reached])
+        missed = sizes(platform.units, platform.twists_between(unseen[reached], arrived))
+        parts = list(zip(missed.T, ("m", "rad")[: 1 + (platform.turns > 0)], strict=False))
+        most = " and ".join(amount(part.max(), unit) for part, unit in parts)
+        usual = " and ".join(amount(np.quantile(part, 0.95), unit) for part, unit in parts)
+        return f"{usual} (95 %), {most} at most"
+
+    after, before = missed_by(grid.commands(unseen)), missed_by(unseen)
+    _log.info("unseen poses are missed by %s; without corrections by %s", after, before)
+    return replace(wanted, grid=grid), (after, before)
 
 
 def _deployed(result: CalibrationResult) -> Deployed:

@@ -178,6 +178,10 @@ def _c_tables(tables: Table) -> str:
         "int machine_loads[][2]": load["columns"] or [(0, 0)],
         "machine_leg machine_legs[]": list(map(_c_leg, tables["legs"])),
     }
+    if grid := tables["grid"]:
+        sizes["GRID"] = grid["count"]
+        ends = {f"double machine_grid_{end}[]": grid[end] for end in ("low", "high")}
+        values |= {**ends, "double machine_grid[]": grid["twists"]}
     lines = [f"#define MACHINE_{name} {size}" for name, size in sizes.items()]
     lines += [f"static const {name} = {_c(value)};" for name, value in values.items()]
     return "\n".join(lines)

@@ -136,6 +136,46 @@ static inline void machine_in_frame(const double *T, double *tool_pose) {
     machine_compose(machine_frame, T, tool_pose); machine_compose(tool_pose, machine_tool, tool_pose);
 }
 
+/* T moved by a twist in the platform's freedoms, base axes */
+static inline void machine_displaced(const double *T, const double *twist, double *moved) {
+    double full[6] = {0}, by[12], size;
+    for (int i = 0; i < MACHINE_DOF; i++) full[machine_freedoms[i]] = twist[i];
+    size = sqrt(machine_dot(full + 3, full + 3));
+    for (int i = 3; i < 6; i++) full[i] /= size > 0.0 ? size : 1.0;
+    machine_turned(full + 3, size, by);
+    for (int i = 0; i < 3; i++) full[i] += T[4 * i + 3];
+    machine_compose(by, T, moved);
+    for (int i = 0; i < 3; i++) moved[4 * i + 3] = full[i];
+}
+
+#ifdef MACHINE_GRID
+/* what to command for a pose to a controller with other geometry; the result may be T */
+static inline void machine_corrected(const double *T, double *commanded) {
+    double home[12], back[12], offset[6], share[MACHINE_DOF], twist[MACHINE_DOF] = {0};
+    int cell[MACHINE_DOF];
+    machine_pose(machine_home, home); machine_inverted(home, back); machine_compose(T, back, back);
+    machine_rotation_vector(back, offset + 3);
+    for (int i = 0; i < 3; i++) offset[i] = T[4 * i + 3] - home[4 * i + 3];
+    for (int i = 0; i < MACHINE_DOF; i++) {
+        double at = (offset[machine_freedoms[i]] - machine_grid_low[i]) / (machine_grid_high[i] - machine_grid_low[i]);
+        at = (at < 0.0 ? 0.0 : at > 1.0 ? 1.0 : at) * (MACHINE_GRID - 1);
+        cell[i] = at < MACHINE_GRID - 2 ? (int)at : MACHINE_GRID - 2;
+        share[i] = at - cell[i];
+    }
+    for (int corner = 0; corner < 1 << MACHINE_DOF; corner++) {
+        double weight = 1.0;
+        int node = 0;
+        for (int i = 0; i < MACHINE_DOF; i++) {
+            int side = corner >> i & 1;
+            weight *= side ? share[i] : 1.0 - share[i];
+            node = node * MACHINE_GRID + cell[i] + side;
+        }
+        for (int i = 0; i < MACHINE_DOF; i++) twist[i] += weight * machine_grid[node * MACHINE_DOF + i];
+    }
+    machine_displaced(T, twist, commanded);
+}
+#endif
+
 typedef struct { const machine_move *move; double axis[3], point[3]; } machine_joint;
 
 /* where the tip of a chain is, and its joints there */
@@ -504,7 +544,7 @@ static inline int machine_forward_at(const double *readings, const double *known
             double size = fabs(twist[j]) / (j < MACHINE_LENGTHS ? machine_size : 1.0);
             if (!(size <= moved)) moved = size;
         }
-        double share = fmin(1.0, 0.3 / fmax(moved, 0.3)), turn[3] = {0, 0, 0}, motion[12], step[MACHINE_MOST];
+        double share = fmin(1.0, 0.3 / fmax(moved, 0.3)), step[MACHINE_MOST];
         for (int l = 0; l < MACHINE_LEGS; l++) {
             const machine_leg *leg = machine_legs + l;
             int p = leg->n_passive, last = p + MACHINE_DOF;
@@ -514,12 +554,8 @@ static inline int machine_forward_at(const double *readings, const double *known
             moved = fmax(moved, machine_length(leg, leg->n_active, step));
             for (int j = 0; j < p; j++) values[l][leg->unknown[leg->n_active + j]] += step[j];
         }
-        double shift[3] = {0, 0, 0};
-        for (int j = 0; j < MACHINE_DOF; j++) (machine_freedoms[j] < 3 ? shift : turn)[machine_freedoms[j] % 3] = share * twist[j];
-        double size = sqrt(machine_dot(turn, turn)), place[3] = {T[3] + shift[0], T[7] + shift[1], T[11] + shift[2]};
-        for (int i = 0; i < 3; i++) turn[i] /= size > 0.0 ? size : 1.0;
-        machine_turned(turn, size, motion); machine_compose(motion, T, T);
-        for (int i = 0; i < 3; i++) T[4 * i + 3] = place[i];
+        for (int j = 0; j < MACHINE_DOF; j++) twist[j] *= share;
+        machine_displaced(T, twist, T);
         if (!(moved > 1e-10)) break;
     }
     if (!(moved <= 1e-10)) return 1;

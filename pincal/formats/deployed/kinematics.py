@@ -82,6 +82,20 @@ def in_frame(T: Row) -> Row:
     return compose(compose(MACHINE["frame"], T), MACHINE["tool"])
 
 
+def corrected(T: Row) -> Row:
+    """Return what to command for a pose to a controller with other geometry, on its grid."""
+    grid, home = MACHINE["grid"], pose(*MACHINE["home"])
+    offset = [T[i] - home[i] for i in (3, 7, 11)] + rotation_vector(compose(T, inverted(home)))
+    count, dof, corners = grid["count"], len(MACHINE["twist"]), [(0, 1.0)]
+    for row, low, high in zip(MACHINE["twist"], grid["low"], grid["high"], strict=True):
+        at = min(max((offset[row] - low) / (high - low), 0.0), 1.0) * (count - 1)
+        cell = min(int(at), count - 2)
+        sides = (cell, 1.0 - at + cell), (cell + 1, at - cell)
+        corners = [(node * count + i, w * share) for node, w in corners for i, share in sides]
+    values = grid["twists"]
+    return displaced(T, [sum(w * values[n * dof + i] for n, w in corners) for i in range(dof)])
+
+
 def inverse(T: Row, influences: Row | None = None, near: Matrix | None = None) -> Solution:
     """Return the readings of a pose, in the working modes of home; of arms near given joints."""
     known = _known(influences)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import MechanismError
+from pincal.formats.corrections import CorrectionGrid
 from pincal.kinematics.chain import elementary_joints, leaders
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import home_mode, sensor_law
@@ -30,6 +31,7 @@ from pincal.types import Array
 
 Table = dict[str, Any]
 _AXES = dict(zip("xyz", np.eye(3), strict=True))
+_DIGITS = 9  # of twists on a grid, [m] and [rad]
 _LEFT = "left"  # of a reason: closed, and in another mode
 
 
@@ -42,6 +44,8 @@ class Deployed:
     """T_frame_base of the frame of the measurements, shape (4, 4)."""
     tool: Array = field(default_factory=lambda: np.eye(4))
     """T_platform_tool, of the point that was measured, shape (4, 4)."""
+    grid: CorrectionGrid | None = None
+    """Corrections of poses for a controller that knows another machine."""
 
     @cached_property
     def tables(self) -> Table:
@@ -74,8 +78,15 @@ class Deployed:
             "frame": _rows(self.frame),
             "tool": _rows(self.tool),
             "load": _load(machine),
+            "grid": None if self.grid is None else _grid(self.grid),
             "legs": [_leg(machine, closure) for closure in nominal_legs(machine)],
         }
+
+
+def _grid(grid: CorrectionGrid) -> Table:
+    """Return ends of the grid, nodes along each coordinate, and twists node by node."""
+    ends = {"low": grid.low.tolist(), "high": grid.high.tolist()}
+    return {**ends, "count": grid.count, "twists": grid.twists.round(_DIGITS).ravel().tolist()}
 
 
 def _leg(machine: Mechanism, closure: LegClosure) -> Table:
