@@ -28,6 +28,7 @@ DONE_BY = {
     "Mechanism.__str__": "pincal.show.report.mechanism_text",
     "Mechanism._repr_html_": "pincal.show.report.mechanism_html",
     "Mechanism.from_urdf": "pincal.formats.arm.load_arm",
+    "Mechanism.pinocchio": "pincal.kinematics.forest.pinocchio_model",
     "Mechanism.save": "pincal.files.mechanism_folders.save_mechanism",
     "MonteCarlo.__str__": "pincal.show.many.montecarlo_text",
     "Plan.from_csv": "pincal.files.measurements.read_poses",

@@ -13,7 +13,7 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 210,
+    "": 211,
     "architectures": 640,
     "calibration": 6_816,
     "cli": 2_782,
@@ -22,8 +22,8 @@ LINES = {
     "files": 3_406,
     "formats": 3_710,
     "instruments": 1_581,
-    "kinematics": 3_629,
-    "model": 3_792,
+    "kinematics": 3_690,
+    "model": 3_812,
     "show": 4_518,
     "symmetry": 1_433,
     "words": 873,

@@ -2,20 +2,24 @@
 
 A call from Python into Pinocchio costs more than the kinematics of one leg. With B
 copies side by side in one model, one ``computeJointJacobians`` evaluates B
-configurations, and ``data.J`` holds every joint column of every copy.
+configurations, and ``data.J`` holds every joint column of every copy. For other programs a
+mechanism is one model with its loops as constraints (``pinocchio_model``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock
 
 import numpy as np
 import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 
+from pincal.errors import MechanismError
 from pincal.kinematics.batches import cross
+from pincal.model.leg import Leg
+from pincal.model.mechanism import Mechanism
 from pincal.types import Array
 
 _JOINTS = {
@@ -212,6 +216,63 @@ def _at_tips(tips: Array, twists: Array) -> Array:
     twists[1] += wz * x - wx * z
     twists[2] += wx * y - wy * x
     return twists
+
+
+def pinocchio_model(mechanism: Mechanism) -> tuple[pin.Model, list[pin.RigidConstraintModel]]:
+    """Return a mechanism as one model, and what closes its loops: see ``Mechanism.pinocchio``."""
+    model, met = pin.Model(), list[tuple[pin.ContactType, int, pin.SE3, int, pin.SE3]]()
+    model.name, platform = mechanism.name, 0
+    links = [_add_leg(model, leg) for leg in mechanism.legs]
+    for row, name in zip(mechanism.platform.twist_rows, mechanism.platform.twist, strict=True):
+        if row < 3 or mechanism.platform.turns == 1:
+            axis = _JOINTS[name]()
+            platform = model.addJoint(platform, axis, pin.SE3.Identity(), f"platform.{name}")
+    if mechanism.platform.turns == 3:
+        ball = pin.JointModelSpherical()
+        platform = model.addJoint(platform, ball, pin.SE3.Identity(), "platform.orientation")
+    model.addFrame(pin.Frame("platform", platform, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    if (load := mechanism.load) is not None:
+        model.appendBodyToJoint(platform, _mass(load.mass, load.centre), pin.SE3.Identity())
+        model.gravity.linear = np.array(load.gravity)
+    for leg, placed in zip(mechanism.legs, links, strict=True):
+        for end in leg.every_end:
+            kind = {3: pin.ContactType.CONTACT_3D, 6: pin.ContactType.CONTACT_6D}.get(len(end.rows))
+            if kind is None:
+                raise MechanismError(
+                    f"{leg.name} closes {', '.join(end.closes)}: constraints of Pinocchio's "
+                    "close points or whole frames"
+                )
+            point = end.point and (platform, pin.SE3(end.point.placement.origin()))
+            met.append((kind, *placed[end.tip], *(point or placed[str(end.meets)])))
+    local = pin.ReferenceFrame.LOCAL
+    return model, [pin.RigidConstraintModel(kind, model, *ends, local) for kind, *ends in met]
+
+
+def _add_leg(model: pin.Model, leg: Leg) -> dict[str, tuple[int, pin.SE3]]:
+    """Add the joints of a leg to a model; return each frame's joint and its place there."""
+    links: dict[str, tuple[int, pin.SE3]] = {}
+    for joint, carrier in zip(leg.joints, leg.carriers, strict=True):
+        if joint.follows:
+            raise MechanismError(f"{leg.name}: {joint.name!r} follows another joint; not supported")
+        base = (0, pin.SE3.Identity())
+        parent, place = links[leg.joints[carrier].name] if carrier >= 0 else base
+        place = place * pin.SE3(joint.placement.origin())
+        if joint.kind != "fixed":
+            kind = Elementary("r" if joint.turns else "t", tuple(place.homogeneous.ravel()))
+            parent = replace(kind, vector=joint.axis).added_to(model, parent)
+            model.names[parent], place = f"{leg.name}.{joint.name}", pin.SE3.Identity()
+            if joint.limited:
+                row = model.joints[parent].idx_q
+                model.lowerPositionLimit[row] = joint.lower
+                model.upperPositionLimit[row] = joint.upper
+        if joint.mass:
+            model.appendBodyToJoint(parent, _mass(joint.mass, joint.centre), place)
+        links[joint.name] = parent, place
+    return links
+
+
+def _mass(mass: float, centre: Vector) -> pin.Inertia:
+    return pin.Inertia(mass, np.array(centre), np.zeros((3, 3)))
 
 
 def placements_in(memory: pin.StdVec_SE3) -> Array:

@@ -262,6 +262,26 @@ class Mechanism:
         """
 
     @attached
+    def pinocchio(self) -> tuple[Any, list[Any]]:
+        """Return the whole mechanism as a model of Pinocchio's, and what closes its loops.
+
+        A ``pin.Model`` with all joints of the legs, then the platform's (a joint for each position;
+        for its orientation one joint, or a ball), and a ``pin.RigidConstraintModel`` for each end:
+        configurations are the ``joints`` of inverse kinematics, leg by leg, then the platform's
+        position and angle, or quaternion x, y, z, w. Masses, load and gravity as far as they are
+        known, at nominal parameters, without terms.
+
+        Raises:
+            MechanismError: joints that follow others, or ends that close neither points nor frames.
+
+        Example:
+            >>> import pincal
+            >>> model, constraints = pincal.load_mechanism("3RRR").pinocchio()
+            >>> model.nq, list(model.names)[-3:], len(constraints)
+            (9, ['platform.x', 'platform.y', 'platform.rz'], 3)
+        """
+
+    @attached
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write ``mechanism.yaml`` and the URDFs to a new folder, whole or not at all.
 
