@@ -850,13 +850,44 @@ def test_an_open_loop_is_said(tmp_path: Path) -> None:
     assert "the loops close as drawn" in closed.out
 
 
-def test_a_wide_open_loop_is_refused(tmp_path: Path) -> None:
-    """Open by a tenth of a leg it is refused, and nothing is written."""
-    outcome = run("import", opened(tmp_path / "open", 0.08), "-o", tmp_path / "bar")
+def test_a_loop_that_cannot_close_is_refused(tmp_path: Path) -> None:
+    """Open by half a leg it is closed, and said; motors farther apart than legs reach are not."""
+    outcome = done("import", opened(tmp_path / "open", 0.25), "-o", tmp_path / "bar")
+    assert "open by 0.25 m" in " ".join(outcome.err.split())
+    leg, other = pincal.load_mechanism(tmp_path / "bar").legs
+    points = pincal.forward(tmp_path / "bar", [[leg.home[0], other.home[0]]]).poses
+    np.testing.assert_allclose(points[0], pincal.load_mechanism(tmp_path / "bar").platform.home)
+    outcome = run("import", opened(tmp_path / "far", 3.0), "-o", tmp_path / "none")
     assert outcome.code == 2
-    assert "0.08 m apart" in outcome.trouble
-    assert "0.506 m" in outcome.trouble
-    assert not (tmp_path / "bar").exists()
+    assert "stay open" in outcome.trouble
+    assert not (tmp_path / "none").exists()
+
+
+def test_what_carries_nothing_is_the_platform(tmp_path: Path) -> None:
+    """A leg whose knee a motor bends over a parallelogram: its foot's frame, beyond all loops.
+
+    Hip and foot are two sides of 0.4 m apart by the cosine law of the knee, which turns as the
+    motor does. The rod is drawn open, and friction, which onshape-to-robot writes, places nothing.
+    """
+    y = "0 1 0"
+    joints = [
+        joint("hip", "pelvis", "thigh", axis=y),
+        joint("knee", "thigh", "shin", "0 0 -0.4", axis=y),
+        joint("foot_frame", "shin", "foot", "0 0 -0.4", "fixed"),
+        joint("motor", "thigh", "crank", "0 0 -0.1", axis=y),
+        joint("rod", "crank", "bar", "0.05 0 0", axis=y, rpy="0 0.2 0"),
+        joint("closed_A", "bar", "bar_end", "0 0 -0.3", "fixed"),
+        joint("closed_B", "shin", "shin_end", "0.05 0 0", "fixed"),
+    ]
+    joints = [
+        one.replace("</joint>", '<joint_properties friction="0.0"/></joint>') for one in joints
+    ]
+    yaml = "closed_loop: [[bar_end, shin_end]]\ntype: ['3d']\nname_mot: [hip, motor]\n"
+    mechanism = read(written(tmp_path, urdf("leg", joints, "pelvis"), yaml))
+    readings = np.random.default_rng(0).uniform((-0.5, 0.2), (0.5, 1.2), (20, 2))
+    poses = pincal.forward(mechanism, readings).poses
+    far = np.linalg.norm(poses[:, :2], axis=1)
+    np.testing.assert_allclose(far, 0.8 * np.cos(readings[:, 1] / 2.0), atol=1e-9)
 
 
 def test_degrees_and_millimetres_are_asked_about(tmp_path: Path) -> None:

@@ -56,8 +56,6 @@ class Tree:
     """Names of the joints with a drive."""
     platform: str | None = None
     """Link of the platform, if the file says it."""
-    homed: bool = False
-    """Whether the file says the joints' home positions, so that they need not be zero."""
     refused: Mapping[str, str] = field(default_factory=dict)
     """Why joints cannot be part of a leg, by name: refused where one is, and only there."""
     remarks: Mapping[str, str] = field(default_factory=dict)

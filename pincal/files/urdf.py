@@ -36,7 +36,10 @@ _PLACING = {
     "child": {"link"},
 }
 #: Elements of a joint whose attributes place nothing, but for limits, which are read.
-_PLACING_NOTHING = {"limit", "mimic", "dynamics", "safety_controller", "calibration"}
+_PLACING_NOTHING = {
+    *("limit", "mimic", "dynamics", "safety_controller", "calibration"),
+    "joint_properties",  # friction, which onshape-to-robot writes
+}
 KINDS: dict[str, JointKind] = {
     "revolute": "revolute",
     "continuous": "revolute",

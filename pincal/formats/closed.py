@@ -29,7 +29,7 @@ from pincal.formats.limbs import (
 )
 from pincal.kinematics.assembly import assembled, independent, opening
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
-from pincal.model.consistency import ROUGH, identifiers
+from pincal.model.consistency import identifiers
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
@@ -109,7 +109,7 @@ def closed_mechanism(
         remarks += _held(tree, bare)
         free = Platform.at_origin(kind)
         axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
-        closed, placed = _closed(tree, bare, free)
+        closed, placed = assembled(bare, free, tree.slack)
         remarks += _outside_limits(closed)
         legs = tuple(_displaced(closed, placed, axes, tree.slack))
         name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
@@ -136,19 +136,6 @@ def _outside_limits(legs: Sequence[Leg]) -> list[str]:
         for joint in leg.moving
         if joint.limited and not joint.lower <= joint.home <= joint.upper
     ]
-
-
-def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg, ...], Platform]:
-    """Return the legs with home positions that close them, and the platform at its home pose."""
-    gap, size = opening(legs, platform), max(leg.size for leg in legs)
-    if gap > ROUGH * size and not tree.homed:
-        raise MechanismError(
-            "the loops do not close near the joint positions that the file draws: ends that should "
-            f"meet are {gap:.3g} m apart, and the longest leg is {size:.3g} m. Say positions near "
-            "which they close (keyframe of MJCF, 'home' of the YAML file), or look at the frames "
-            "of the loops and at units (metres, radians)"
-        )
-    return assembled(legs, platform, tree.slack)
 
 
 def _legs(

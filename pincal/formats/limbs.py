@@ -56,6 +56,7 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
     """
     graph = _Graph(tree)
     base = graph.body[tree.root]
+    platform = platform or graph.outermost(base)
     loose = graph.prune({base} | ({graph.body[platform]} if platform else set()))
     if not graph.bonds:
         raise MechanismError(
@@ -111,6 +112,18 @@ class _Graph:
         """Return the links of a body for a message."""
         return "/".join(repr(link) for link in self.tree.links if self.body[link] == body)
 
+    def outermost(self, base: str) -> str | None:
+        """Return the link ``platform``, or the one that carries and closes nothing: a foot, a tool.
+
+        None if there are several, or it is fixed to the base.
+        """
+        used = {edge.parent for edge in self.tree.edges}
+        used |= {name for edge in self.tree.loops for name in (edge.parent, edge.child)}
+        ends = [link for link in self.tree.links if link not in used and self.body[link] != base]
+        if self.body.get("platform", base) != base:
+            return "platform"
+        return ends[0] if len(ends) == 1 else None
+
     def prune(self, keep: set[str]) -> list[str]:
         """Drop the bonds that lie in no loop, and return their names."""
         loose: list[str] = []
@@ -138,9 +151,6 @@ class _Graph:
                 raise MechanismError(f"{link!r} cannot be the platform: {fault}")
             return body
         meeting = [name for name, count in degrees.items() if count > 2 and name != base]
-        named = self.body.get("platform")
-        if len(meeting) > 1 and named in degrees and named != base:
-            return str(named)
         if len(meeting) > 1:
             places = listed(self.named(name) for name in meeting)
             raise MechanismError(

@@ -74,7 +74,6 @@ def read_mjcf(path: Path) -> Tree:
         edges=at_home(tuple(edges), _home(model, joints)),
         loops=tuple(_loops(model, links)),
         active=tuple(dict.fromkeys(joints[i] for i in driven)),
-        homed=model.nkey > 0,
         refused=refused,
         remarks=remarks,
     )

@@ -89,7 +89,6 @@ def read_loops(urdf: Path, loops: Path | None) -> Tree:
         loops=(*tree.loops, *_closings(tree, lists["closed_loop"], lists["type"], loops)),
         active=_motors(lists["name_mot"], tree.edges, urdf),
         platform=keys["platform"].text() if "platform" in keys else None,
-        homed=bool(home),
     )
 
 

@@ -311,10 +311,12 @@ def home_gap(leg: Leg, platform: Platform) -> tuple[float, float]:
         tip = links[leg.index(end.tip)]
         if isinstance(end.meets, str):
             frame = links[leg.index(end.meets)]
+            axes = frame[:3, :3]
         else:
             frame = platform.home_pose.as_matrix()[0] @ end.meets.placement.origin()
-        across = frame[:3, :3].T @ (tip - frame)[:3, 3]
-        shift = across[[row for row in platform.closing(end) if row < 3]]
+            axes = np.eye(3)
+        apart = axes.T @ (tip - frame)[:3, 3]
+        shift = apart[[row for row in platform.closing(end) if row < 3]]
         gap = max(gap, float(np.linalg.norm(shift)))
         if end.closes == "frame":
             R = Rotation.from_matrix(frame[:3, :3].T @ tip[:3, :3])

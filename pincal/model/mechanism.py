@@ -158,11 +158,11 @@ class Mechanism:
     def by_readings(self) -> bool:
         """Whether readings determine poses, and poses do not determine readings.
 
-        Of serial arms, whose readings have many solutions, and of legs with fewer joints than
-        their closure has rows, which reach a surface of poses only. Their poses are made by forward
-        kinematics.
+        Of arms, with loops within or without, whose readings have many solutions, and of legs with
+        fewer joints than their closure has rows, which reach a surface of poses only. Their poses
+        are made by forward kinematics.
         """
-        return any(
+        return len(self.legs) == 1 or any(
             not leg.passive or len(leg.moving) != self.platform.rows(leg) for leg in self.legs
         )
 

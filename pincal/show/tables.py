@@ -156,7 +156,7 @@ def workspace_table(workspace: Workspace) -> Table:
         (name, f"{workspace.size} (at most: half a cell along the edge)"),
         ("positions", f"{workspace.count:,} of {positions.size:,} count{separate}"),
         ("orientations", f"{every} {len(test.orientations):,}"),
-        ("margins", f"type 1 ≥ {test.least.type1:.3g}, {sides}"),
+        ("margins", f"type 1 ≥ {test.least.least_type1(test.mechanism):.3g}, {sides}"),
         ("symmetry", symmetry),
     ]
     if workspace.cut:

@@ -23,6 +23,7 @@ from pincal.kinematics.derivatives import nearest_closure
 from pincal.kinematics.singularity import (
     drive_margins,
     home_determinant,
+    margins,
     platform_margin,
     rods_margin,
 )
@@ -34,6 +35,7 @@ from pincal.model.option import option
 from pincal.model.platform import Poses
 from pincal.types import Array, Mask
 
+_FAR = 0.23  # from type-1 singularities
 _GRIP = 1e-6  # at a type-1 singularity rounding errors choose the working mode
 
 
@@ -41,8 +43,11 @@ _GRIP = 1e-6  # at a type-1 singularity rounding errors choose the working mode
 class Margins:
     """Least distances from singularities that a pose must keep, dimensionless."""
 
-    type1: float = option(
-        0.23, "Least distance from type-1 singularities, a dyad's elbow sine.", name="margin_type1"
+    type1: float | None = option(
+        None,
+        "Least distance from type-1 singularities, a dyad's elbow sine [default: 0.23, or half of "
+        "home's where that is nearer].",
+        name="margin_type1",
     )
     type2: float | None = option(
         None,
@@ -69,6 +74,13 @@ class Margins:
         """Return no margins: only reach in the working mode and joint limits count."""
         return cls(0.0, -np.inf)
 
+    def least_type1(self, mechanism: Mechanism) -> float:
+        """Return the type-1 margin for a mechanism."""
+        if self.type1 is not None:
+            return self.type1
+        at_home = home_grip(mechanism)
+        return 0.5 * at_home if at_home < _FAR else _FAR
+
     def least_type2(self, mechanism: Mechanism) -> float:
         """Return the type-2 margin for a mechanism."""
         if self.type2 is not None:
@@ -82,6 +94,8 @@ class Criteria:
     def __init__(self, mechanism: Mechanism, least: Margins | None = None) -> None:
         self.mechanism = mechanism
         self.least = as_margins(least)
+        self.type1 = self.least.least_type1(mechanism)
+        """Margin from type-1 singularities."""
         self._type2 = self.least.least_type2(mechanism)
         rows, dof = mechanism.constraints, mechanism.platform.dof
         if self._type2 > -np.inf and rows < dof:
@@ -97,7 +111,7 @@ class Criteria:
             )
         self._legs = nominal_legs(mechanism)
         forms = [form for leg in self._legs if (form := closed_form(leg))]
-        self.reaches = tuple(form.reach(self.least.type1) for form in forms)
+        self.reaches = tuple(form.reach(self.type1) for form in forms)
         self._searched = [leg for leg in self._legs if not closed_form(leg)][:-1]
         exact = len(forms) == len(self._legs) and all(reach.exact for reach in self.reaches)
         self._exact = exact and not self._pulls()
@@ -152,7 +166,7 @@ class Criteria:
                 self._legs, by_leg(closed, lambda legs: legs.joints), strict=True
             ):
                 inside &= ~beyond_limits(leg.leg, joints).any(axis=1)
-            least = max(self.least.type1 - ROUNDING, _GRIP)
+            least = max(self.type1 - ROUNDING, _GRIP)
             inside &= (drive_margins(closed) >= least).all(axis=1)
             if self._type2 > -np.inf:
                 lines = by_leg(closed, lambda legs: legs.closure.constraint_by_pose)
@@ -163,6 +177,12 @@ class Criteria:
                 matrices = closed[0][1].closure.matrices[: len(inside)][inside]
                 inside[inside] = can_hold(self.mechanism, matrices, by_length, self.least.tension)
         return inside
+
+
+@lru_cache(maxsize=64)
+def home_grip(mechanism: Mechanism) -> float:
+    """Return the least distance of home from type-1 singularities; NaN if a leg misses it."""
+    return float(margins(mechanism, [mechanism.platform.home]).type1.min())
 
 
 def as_margins(least: Margins | None) -> Margins:

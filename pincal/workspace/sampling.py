@@ -132,6 +132,8 @@ def sample_configurations(
             progress(min(total, count))
         if total >= count:
             return Plan(np.concatenate(poses)[:count], readings=np.concatenate(readings)[:count])
+    if criteria and not in_workspace(mechanism, start[:1], as_margins(least))[0]:
+        raise WorkspaceError(_why_not_home(mechanism, as_margins(least)))
     reason = "legs do not close within their joints' limits, or too near to singularities"
     if not solution.converged.any():
         reason = Counter(solution.reasons).most_common(1)[0][0]
@@ -370,9 +372,10 @@ def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
     if in_workspace(mechanism, platform.home_pose, replace(least, tension=None))[0]:
         return start + f"its cables cannot all be kept at {least.tension:g} N (--margin-tension)"
     distance = margins(mechanism, platform.home_pose)
+    type1, type2 = least.least_type1(mechanism), least.least_type2(mechanism)
     return start + (
         f"its distances from singularities are {distance.type1.min():.3g} (type 1, the drives' "
         f"grip) and {distance.type2[0]:.3g} (type 2, the platform's stiffness), the margins "
-        f"{least.type1:.3g} and {least.least_type2(mechanism):.3g}. Lower the margins ('pincal "
+        f"{type1:.3g} and {type2:.3g}. Lower the margins ('pincal "
         "workspace --margin-type1 … --margin-type2 …') or move home"
     )
