@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 211,
     "architectures": 640,
-    "calibration": 6_816,
+    "calibration": 6_866,
     "cli": 2_782,
     "design": 2_330,
     "estimation": 5_049,
@@ -23,11 +23,11 @@ LINES = {
     "formats": 3_710,
     "instruments": 1_581,
     "kinematics": 3_690,
-    "model": 3_812,
-    "show": 4_518,
+    "model": 3_816,
+    "show": 4_521,
     "symmetry": 1_433,
-    "words": 873,
-    "workspace": 1_626,
+    "words": 875,
+    "workspace": 1_649,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
