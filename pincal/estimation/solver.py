@@ -37,6 +37,7 @@ _LONGER = 3  # times as many within a standard deviation of the optimum: in a cu
 _ASTRAY_EVALUATIONS = 100  # while the conditions are farther off than this
 _FAR = 1e6  # cost of a condition: a thousand standard deviations, no correction of a machine
 _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
+_GROWTH = 4.0  # less than a good step takes off: else every other one is refused in a valley
 # How readings are adjusted:
 _CORRECTIONS = 4  # corrections of the readings in a step, at most
 _UNCHANGED = 1e-3  # standard deviations by which corrections may still change
@@ -111,7 +112,7 @@ def search(
         highest: Cost above which no step is taken, if that at the start is not lower.
         enough: Distance from the optimum in standard deviations of residuals at which to stop.
     """
-    current, damping, growth = Iterate.of(system, start), 0.0, 10.0
+    current, damping, growth = Iterate.of(system, start), 0.0, _GROWTH
     evaluations, highest = 1, max(current.cost, highest)
     unused = ~system.kept
     fixed_poses, cost_when_fixed = unused, np.inf
@@ -125,7 +126,7 @@ def search(
         evaluations += count
         if trial is not None and _better(system, current, trial, highest):
             # 2. Taken: less damping where the fall is as predicted.
-            damping, growth = damping * _change(system, current, trial, step), 10.0
+            damping, growth = damping * _change(system, current, trial, step), _GROWTH
             damping = damping if damping > _DAMPING[0] else 0.0
             at_end = current.blind and _at_end(current, trial)
             current = trial
