@@ -15,8 +15,8 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 211,
     "architectures": 640,
-    "calibration": 6_866,
-    "cli": 2_782,
+    "calibration": 6_891,
+    "cli": 2_793,
     "design": 2_330,
     "estimation": 5_049,
     "files": 3_406,

@@ -120,6 +120,25 @@ def test_a_folder_for_the_controller(tmp_path: Path) -> None:
         pincal.deploy(result, tmp_path / "controller")
 
 
+@pytest.mark.parametrize("name", quick(1, ["delta", "6UPS"]))
+def test_poses_as_measured_have_the_readings_that_were_read(name: str, tmp_path: Path) -> None:
+    """In the tracker's frame, of a point somewhere on the platform: to the noise."""
+    robot, noise = pincal.load_mechanism(name), pincal.Noise(1e-7, 1e-7)
+    truth, plan = pincal.disturb(robot, 1e-3, seed=1), pincal.Plan(workspace(name, 30))
+    data = pincal.simulate(robot, truth, plan, noise, seed=1).measurements
+    seen = seen_from_elsewhere(robot, data, (0.02, -0.01, 0.03), 0.2 * (name == "6UPS"))
+    setup = pincal.Setup(unknown_frame=True).anywhere(frame=True, target=name == "6UPS")
+    result = pincal.calibrate(robot, seen, noise=noise, setup=setup)
+    readings = pincal.inverse(result.identified, result.in_base(seen.poses)).readings
+    np.testing.assert_allclose(readings, data.readings, atol=2e-6)
+    result.save(tmp_path / "result")
+    pincal.Plan(seen.poses).to_csv(tmp_path / "seen.csv", robot)
+    files = tmp_path / "seen.csv", "-o", tmp_path / "r.csv"
+    done("inverse", tmp_path / "result", *files, "--as-measured")
+    written = np.loadtxt(tmp_path / "r.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(written, readings, atol=1e-9)
+
+
 def test_what_is_not_determined_has_no_standard_error(tmp_path: Path) -> None:
     """Three poses of a five-bar: rods have no ±, and the page says that no limit is stated."""
     robot = pincal.load_mechanism("5R")

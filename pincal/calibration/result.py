@@ -28,6 +28,8 @@ from pincal.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameters
+from pincal.model.platform import Poses
+from pincal.model.relations import ORIGIN
 from pincal.types import Array
 from pincal.words.findings import WORDINGS, sentences
 from pincal.words.numbers import rounded
@@ -129,6 +131,29 @@ class CalibrationResult:
     def identified(self) -> Mechanism:
         """The calibrated mechanism."""
         return self.calibration.identified(np.concatenate([leg.identified for leg in self.legs]))
+
+    @property
+    def measured_frames(self) -> tuple[Array, Array]:
+        """``T_frame_base`` of the measurements' frame, ``T_platform_tool`` of what was measured."""
+        frame, tool = np.eye(4), np.eye(4)
+        tool[:3, 3] = self.options.setup.targets[ORIGIN].offset
+        if self.outside is not None:
+            frame = self.outside.frame
+            tool[:3, :3], tool[:3, 3] = self.outside.turn, self.outside.offsets[0]
+        return frame, tool
+
+    def in_base(self, poses: Poses) -> Array:
+        """Return poses of the platform in the base frame, coordinates of shape (N, dof).
+
+        Args:
+            poses: Poses of the measured point in the frame of the measurements, as they are
+                measured: coordinates of shape (N, dof), or transforms.
+        """
+        (frame, tool), platform = self.measured_frames, self.nominal.platform
+        measured = platform.matrices(poses).copy()
+        if not platform.turns:  # it has one orientation, whatever was said of it
+            measured[:, :3, :3] = (frame @ tool)[:3, :3]
+        return platform.from_matrices(np.linalg.inv(frame) @ measured @ np.linalg.inv(tool))
 
     @property
     def begun(self) -> Mechanism:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -109,6 +110,14 @@ def inverse(
     poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="Poses: x [m], y [m], …")],
     output: Annotated[Path, output_option("READINGS.csv", "Readings, one column a leg.")],
     options: TableOptions,
+    as_measured: Annotated[
+        bool,
+        typer.Option(
+            "--as-measured",
+            help="Poses are of the measured point, in the frame of the measurements (the "
+            "tracker's), of a MECH that is a result.",
+        ),
+    ] = False,
     force: Force = False,
 ) -> None:
     """Write the sensor readings of poses.
@@ -119,6 +128,8 @@ def inverse(
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
     plan = read_poses(poses, mechanism)
+    if as_measured:
+        plan = replace(plan, poses=pincal.load_result(mech).in_base(plan.poses))
     refuse_existing(output, force=force)
     influences = own_influences(mechanism, plan.influences)
     solution = pincal.inverse(mechanism, plan.poses, influences)

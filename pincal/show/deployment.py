@@ -30,7 +30,6 @@ from pincal.kinematics.configurations import inverse
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option, option_of
-from pincal.model.relations import ORIGIN
 from pincal.model.setup import Setup
 from pincal.types import Array
 from pincal.words.numbers import amount
@@ -113,7 +112,11 @@ def deploy(
     if result is not None and not result.converged:
         raise MeasurementError("the fit did not converge, so there is no machine to deploy")
     options = GridOptions(**correction)
-    wanted = Deployed(as_mechanism(machine)) if result is None else _deployed(result)
+    wanted = (
+        Deployed(as_mechanism(machine))
+        if result is None
+        else Deployed(result.identified, *result.measured_frames)
+    )
     misses = ("", "")
     if options.grid:
         nominal = wanted.mechanism if result is None else result.nominal
@@ -174,16 +177,6 @@ def _with_grid(
     after, before = missed_by(grid.commands(unseen)), missed_by(unseen)
     _log.info("unseen poses are missed by %s; without corrections by %s", after, before)
     return replace(wanted, grid=grid), (after, before)
-
-
-def _deployed(result: CalibrationResult) -> Deployed:
-    """Return a calibrated machine with the frame and the point of the measurements."""
-    frame, tool = np.eye(4), np.eye(4)
-    tool[:3, 3] = result.options.setup.targets[ORIGIN].offset
-    if result.outside is not None:
-        frame = result.outside.frame
-        tool[:3, :3], tool[:3, 3] = result.outside.turn, result.outside.offsets[0]
-    return Deployed(result.identified, frame, tool)
 
 
 def _uncertain(result: CalibrationResult) -> dict[str, tuple[Array, Array]]:
