@@ -18,7 +18,8 @@ from pincal.types import Array, Mask
 def with_distances(plan: Plan, count: int) -> Plan:
     """Return a plan whose rows, called 1, 2, …, are each measured from so many others.
 
-    Rows far from each other in the plan and near ones alike, no pair twice.
+    Rows far from each other in the plan and near ones alike, no pair twice, and none of one pose
+    that is measured again.
 
     Raises:
         ObservabilityError: there are not as many others.
@@ -31,10 +32,12 @@ def with_distances(plan: Plan, count: int) -> Plan:
         )
     names = tuple(str(1 + row) for row in range(rows))
     steps = np.linspace(1, (rows - 1) // 2, count).round().astype(int).tolist()
-    columns = {
-        f"distance_{slot}{TO}": tuple(np.roll(names, -step).tolist())
-        for slot, step in enumerate(steps, start=1)
-    }
+    places, columns = plan.places or ("",) * rows, {}
+    for slot, step in enumerate(steps, start=1):
+        leads = zip(names[step:] + names[:step], places[step:] + places[:step], places, strict=True)
+        columns[f"distance_{slot}{TO}"] = tuple(
+            "" if place and place == other else name for name, other, place in leads
+        )
     return replace(plan, contacts={**plan.contacts, ROW: names, **columns}) if count else plan
 
 

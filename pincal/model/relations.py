@@ -225,8 +225,8 @@ def missed(
     for row, way in enumerate(relation.ways):
         if way == "r":
             flat = w * [1.0, 1.0, float(relation.shape != "circle")]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                slopes[:, row] = flat / np.linalg.norm(flat, axis=1, keepdims=True)
+            size = np.linalg.norm(flat, axis=1, keepdims=True)
+            slopes[:, row] = flat / np.where(size == 0.0, 1.0, size)
         else:
             slopes[:, row, "xyz".index(way)] = 1.0
     by_radius = -np.array([float(way == "r") for way in relation.ways])
