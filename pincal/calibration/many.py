@@ -32,7 +32,7 @@ Columns = dict[str, NDArray[Any]]
 FAILURE = "failure"
 """Column that says why a row has no numbers."""
 _SHARES, _LARGEST = 64, 50  # shares of the work at least, rows of a share at most
-_SAME = 1e-6  # relative difference of numbers that another processor may make
+_ROUNDING = 1e-6  # relative difference of numbers that another processor may make
 _MISSING: Mapping[type, Any] = {str: "", float: np.nan}
 
 
@@ -162,7 +162,7 @@ def _without_rows(make_row: Callable[..., Row], items: Sequence[Item], file: Row
     for item in [item for item in items if item in places][:1]:
         (row,) = _rows_of(make_row, keys, [item])
         held = {name: values[places[item]] for name, values in columns.items() if name in row}
-        if not all(_alike(row[name], value) for name, value in held.items()):
+        if not all(_equal(row[name], value) for name, value in held.items()):
             raise FileError(
                 f"{file.path} holds other rows: that of {item[0]} is another by this mechanism and "
                 "these options; move it away, or name another"
@@ -185,11 +185,11 @@ def _rows_of(make_row: Callable[..., Row], keys: Sequence[str], items: Sequence[
     return rows
 
 
-def _alike(value: Any, held: Any) -> bool:
+def _equal(value: Any, held: Any) -> bool:
     """Return whether a number is what a table holds, but for rounding; a text the same."""
     if isinstance(value, str):
         return bool(value == held)
-    return bool(np.isclose(value, held, rtol=_SAME, atol=1e-12, equal_nan=True))
+    return bool(np.isclose(value, held, rtol=_ROUNDING, atol=1e-12, equal_nan=True))
 
 
 @contextmanager

@@ -61,7 +61,7 @@ class MonteCarlo:
     seed: int = 0
     columns: Columns = field(default_factory=dict)
     """A row of each machine, SI: errors before and after, true less nominal parameters."""
-    alone: Columns = field(default_factory=dict)
+    single: Columns = field(default_factory=dict)
     """A row of each parameter: errors of a machine of which it alone is off, without noise."""
 
     @cached_property
@@ -99,8 +99,8 @@ class MonteCarlo:
 
     def row_of(self, id_: str) -> Row:
         """Return the row of a machine of which a parameter alone is off, measured without noise."""
-        off = self.mechanism.parameters[id_].nominal + self.sigmas[id_]
-        return self.errors(self.mechanism.with_parameters({id_: off}), Noise(0.0, 0.0, 0.0, 0.0))
+        value = self.mechanism.parameters[id_].nominal + self.sigmas[id_]
+        return self.errors(self.mechanism.with_parameters({id_: value}), Noise(0.0, 0.0, 0.0, 0.0))
 
     def errors(self, truth: Mechanism, noise: Noise, seed: Generator | int = 0) -> Row:
         """Return how far a true machine is off before and after it is measured and calibrated."""
@@ -109,8 +109,8 @@ class MonteCarlo:
         if self.measured is not None:
             turned = not set(platform.freedoms[platform.lengths :]).isdisjoint(self.measured)
             columns = zip(platform.coordinates, platform.units, strict=True)
-            seen = [turned if unit == "rad" else name in self.measured for name, unit in columns]
-            data = replace(data, poses=np.where(seen, data.poses, np.nan))
+            reads = [turned if unit == "rad" else name in self.measured for name, unit in columns]
+            data = replace(data, poses=np.where(reads, data.poses, np.nan))
         result = calibrate(nominal, data, self.options)
         if not result.converged:
             raise MeasurementError(result.message)
@@ -138,8 +138,8 @@ class MonteCarlo:
         independent, so that mean squares add up to first order. What they leave of that after the
         calibration is made by the noise.
         """
-        ids = self.alone["parameter"]
-        squares, parameters = self._first(self.alone) ** 2, self.mechanism.parameters
+        ids = self.single["parameter"]
+        squares, parameters = self._first(self.single) ** 2, self.mechanism.parameters
         names = np.array([parameters[id_].name for id_ in ids])
         totals = np.array([squares[0].sum(), np.mean(self.known[1] ** 2)])
         costs = []
@@ -207,5 +207,5 @@ def montecarlo(
         file = RowFile(Path(path or f"{scratch}/machines.csv"), kinds)
         columns = add_rows(drawn.row, items, file, made_by, progress)
         file = RowFile(Path(scratch, "parameters.csv"), {"parameter": str, **drawn.kinds})
-        alone = add_rows(drawn.row_of, [(id_,) for id_ in drawn.sigmas], file, made_by)
-    return replace(drawn, columns=columns, alone=alone)
+        single = add_rows(drawn.row_of, [(id_,) for id_ in drawn.sigmas], file, made_by)
+    return replace(drawn, columns=columns, single=single)

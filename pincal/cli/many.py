@@ -1,4 +1,4 @@
-"""``pincal montecarlo`` and ``batch``: what accuracy many machines will have, and have."""
+"""``pincal montecarlo``, ``batch``, ``history``: many machines, and one over months."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ import typer
 
 from pincal import FileError, Noise, Options, load_mechanism, montecarlo
 from pincal.calibration.calibrate import run
+from pincal.calibration.history import history_of
 from pincal.calibration.many import FAILURE, Row, RowFile, Workers, add_rows
 from pincal.calibration.options import By
 from pincal.cli.app import command, fail, say, stdout, typed, working, wrote
 from pincal.cli.calibration import InputOptions
-from pincal.cli.options import Mech, PlanOptions, output_option
+from pincal.cli.options import Force, Mech, PlanOptions, TableOptions, offered, output_option
 from pincal.design.planning import with_reading_noise
 from pincal.files.measurements import read_poses
-from pincal.model.option import option
+from pincal.model.option import Option, option
+from pincal.show.history import HistoryPage
 from pincal.show.many import batch_lines, montecarlo_lines, row_kinds, row_of_result
 from pincal.words.numbers import reading_in
 
@@ -78,7 +80,7 @@ def montecarlo_(
         )
     with reading_in(drawn.written_in(mechanism).printed):
         for line in montecarlo_lines(study):
-            stdout.print(line)
+            stdout.print(line, soft_wrap=isinstance(line, str))
     wrote(output)
     say(f"next: pincal identifiability {shlex.join([mech, str(plan)])}")
     if any(study.columns[FAILURE]):
@@ -111,8 +113,8 @@ def _row(
     result, *_ = run(calibration, options.folds, running.by)
     if running.results is not None:
         result.save(running.results / Path(file[0]).stem, force=True)
-    over = running.workspace
-    poses = None if over is None else read_poses(over, result.nominal)
+    workspace = running.workspace
+    poses = None if workspace is None else read_poses(workspace, result.nominal)
     return row_of_result(result, poses)
 
 
@@ -144,7 +146,7 @@ def batch(
         columns = add_rows(make_row, items, file, running, progress)
     with reading_in(known.written_in(mechanism).printed):
         for line in batch_lines(columns, mechanism):
-            stdout.print(line)
+            stdout.print(line, soft_wrap=isinstance(line, str))
     wrote(output)
     bad = columns["file"][[text[:1] in ("", "✗") for text in columns["verdict"]]]
     if len(bad):
@@ -155,3 +157,37 @@ def batch(
     else:
         first = running.results / Path(items[0][0]).stem
         say(f"next: pincal deploy {shlex.quote(str(first))} -o CONTROLLER")
+
+
+@command
+def history(
+    results: Annotated[
+        list[Path],
+        typer.Argument(metavar="RESULT…", help="Results of 'calibrate', or folders of them."),
+    ],
+    options: TableOptions,
+    output: Annotated[
+        Path | None, output_option("HISTORY.html", "Page with charts of the parameters.")
+    ] = None,
+    accuracy: Annotated[
+        float | None,
+        offered("accuracy", Option("Root mean square error to stay within.", unit="m rad")),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """See what changed on a machine over months.
+
+    Its calibrations, dated by their folders' names (2026-03-31), are compared by the joint
+    covariance of their parameters: what changed is named, and what would explain it as well. With
+    --accuracy: until when the drift leaves the machine within it. Exit code 1 if it changed.
+    """
+    page = HistoryPage(history_of(results), accuracy)
+    with reading_in(options.written_in(page.history.results[0].nominal).printed):
+        for line in page.lines:
+            stdout.print(line, soft_wrap=isinstance(line, str))
+        if output is not None:
+            wrote(page.save(output, force=force))
+    step = "pincal deploy RESULT -o CONTROLLER" if output else f"{typed()} -o HISTORY.html"
+    say(f"next: {step}")
+    if any(page.history.changes):
+        fail(1, "exit code 1, since the machine changed")

@@ -128,16 +128,18 @@ def out_of_family(columns: Columns, mechanism: Mechanism) -> list[tuple[str, str
     limit = float(stdtrit(n - 2, 1.0 - _ALARM / (2.0 * n * len(mechanism.parameters))))
     for p in mechanism.parameters:
         x = columns[p.column][fine]
-        off = x - x.mean()
-        rest = (off @ off - n / (n - 1) * off**2) / (n - 2)  # variance of the others
-        sigma = np.sqrt(np.maximum(rest, 1e-12 * np.mean(off**2)) * (1.0 + 1.0 / (n - 1)))
-        away = x - (x.sum() - x) / (n - 1)
-        for i in np.flatnonzero(np.abs(away) > limit * sigma):
+        centred = x - x.mean()
+        variances = (centred @ centred - n / (n - 1) * centred**2) / (
+            n - 2
+        )  # variance of the others
+        sigma = np.sqrt(np.maximum(variances, 1e-12 * np.mean(centred**2)) * (1.0 + 1.0 / (n - 1)))
+        differences = x - (x.sum() - x) / (n - 1)
+        for i in np.flatnonzero(np.abs(differences) > limit * sigma):
             half = float(limit * sigma[i])
-            others = measured(float(x[i] - away[i]), half, p.unit)
+            limits = measured(float(x[i] - differences[i]), half, p.unit)
             value = fixed(float(x[i]), half, p.unit)
             outside.append(
-                (columns["file"][fine][i], f"{p.id} is {value}, outside {others} of the others")
+                (columns["file"][fine][i], f"{p.id} is {value}, outside {limits} of the others")
             )
     return outside
 
@@ -156,5 +158,5 @@ def batch_lines(columns: Columns, mechanism: Mechanism) -> list[str | Table]:
     lines: list[str | Table] = [f"{mark} {mechanism.name}: {' · '.join(parts)}"]
     lines += [f"out of family: {name}: {text}" for name, text in outside]
     texts = zip(columns["file"], columns["verdict"], columns[FAILURE], strict=True)
-    rows = [[name, verdict or f"✗ no result: {why}"] for name, verdict, why in texts]
+    rows = [[name, verdict or f"✗ no result: {cause}"] for name, verdict, cause in texts]
     return [*lines, Table("", ["machine", "verdict"], rows)]

@@ -109,6 +109,7 @@ class Report(Page):
         with reading_in(self.units.printed):
             return rendered(
                 "report.html",
+                kind="calibration",
                 name=result.nominal.name,
                 description=result.nominal.description,
                 subtitle=" · ".join([*parts, result.message]),

@@ -1,0 +1,181 @@
+"""A machine over months: which parameters changed between its calibrations, and how it drifts.
+
+Differences of two calibrations are judged by their joint covariance, so that parameters which are
+certain together count although each alone is not.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import date, timedelta
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from pincal.calibration.promise import measured_plan, seen_by
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result_files import RESULT, load_result
+from pincal.design.platform_error import seen_of
+from pincal.errors import FileError, MeasurementError
+from pincal.estimation.observability.indices import nearest_to_nominal, plausible_changes
+from pincal.kinematics.configurations import legs_at
+from pincal.model.parameter import Parameter
+from pincal.types import Array
+
+_ALARM = 1e-3  # probability of a difference at which a machine has changed
+_NAMED = 5  # parameters that are named to have changed
+_EQUIVALENT = 6.6  # χ² within which another parameter explains a change as well, at 99 %
+_DETERMINED = 1e-12  # of the largest variance, relative
+_DATE = re.compile(r"(\d{4})-?(\d\d)(?:-?(\d\d))?")
+
+
+class Change(NamedTuple):
+    """What a parameter changed by between two calibrations."""
+
+    parameter: Parameter
+    value: float
+    """Later less earlier, SI."""
+    std: float
+    alternatives: tuple[str, ...]
+    """Ids of parameters whose change would explain as much."""
+
+
+@dataclass(frozen=True)
+class History:
+    """Calibrations of a machine in the order of their dates."""
+
+    names: tuple[str, ...]
+    dates: tuple[date, ...]
+    results: tuple[CalibrationResult, ...]
+
+    @cached_property
+    def changes(self) -> list[list[Change]]:
+        """What changed from each calibration to the next."""
+        return [changes(*pair) for pair in zip(self.results, self.results[1:], strict=False)]
+
+    @property
+    def values(self) -> Array:
+        """Identified parameters of the legs, shape (n_results, n)."""
+        return np.array([[p.nominal for p in r.identified.parameters] for r in self.results])
+
+    @cached_property
+    def drift(self) -> tuple[float, float] | None:
+        """How fast the platform drifts at measured poses, RMS, and two standard errors, a day.
+
+        In m, or rad of a platform that only turns; None of fewer than three dates. The straight
+        line through the parameters, their covariances, and what they scatter beyond these.
+        """
+        days = np.array([day.toordinal() for day in self.dates], dtype=float)
+        if len(set(self.dates)) < 3:
+            return None
+        last, centred = self.results[-1], days - days.mean()
+        legs = legs_at(last.identified, measured_plan(last))
+        moved, units = seen_of(last.identified, legs.poses, legs.gain, seen_by(last))
+        G = moved[:, [unit == units[0] for unit in units]].reshape(-1, moved.shape[2])
+
+        def mean_square(root: Array) -> float:
+            return float(((G @ root) ** 2).sum() / len(moved))
+
+        weights, covariances = centred / (centred @ centred), [r.covariance for r in self.results]
+        slope = weights @ self.values
+        errors = self.values - self.values.mean(axis=0) - np.outer(centred, slope)
+        expected = np.trace(G @ np.mean(covariances, axis=0) @ G.T) / len(moved)
+        excess = max(1.0, mean_square(errors.T) / (len(days) - 2) / expected)
+        of_slope = sum(w**2 * C for w, C in zip(weights, covariances, strict=True))
+        variance = excess * np.trace(G @ of_slope @ G.T) / len(moved)
+        return float(np.sqrt(mean_square(slope[:, None]))), 2.0 * float(np.sqrt(variance))
+
+    def due(self, accuracy: float) -> date | None:
+        """Return before when no check is needed to stay within an accuracy, [m] or [rad].
+
+        By the drift and two of its standard errors, beside the error of the last calibration; None
+        if there are too few calibrations.
+        """
+        if self.drift is None:
+            return None
+        last = self.results[-1].expected_error()
+        error = last.position if self.results[-1].nominal.platform.lengths else last.orientation
+        span = np.sqrt(max(accuracy**2 - error**2, 0.0)) / max(sum(self.drift), 1e-30)
+        return self.dates[-1] + timedelta(days=min(int(span), 36_500))
+
+
+def changes(before: CalibrationResult, after: CalibrationResult) -> list[Change]:
+    """Return which parameters changed between two calibrations, the surest first; none of noise.
+
+    As few as leave a difference that is noise: each is the one that explains most of what is left.
+    """
+    mechanism = after.nominal
+    difference = after.identified.parameters.values - before.identified.parameters.values
+    scales = plausible_changes(mechanism)
+    values, axes = np.linalg.eigh((before.covariance + after.covariance) / np.outer(scales, scales))
+    known = values > _DETERMINED * values.max()
+    white = (axes[:, known] / np.sqrt(values[known])).T / scales
+    lost = [d for d in (after.gauge_directions, after.undetermined_directions) if d is not None]
+    X, y = white, white @ difference
+    if lost:  # what a change looks like where such directions are chosen
+        X = white @ nearest_to_nominal(mechanism, np.hstack(lost))
+    chosen, residual, alternatives = list[int](), y, list[tuple[str, ...]]()
+    while chdtrc(len(y) - len(chosen), residual @ residual) < _ALARM and len(chosen) < _NAMED:
+        free = X - X[:, chosen] @ np.linalg.lstsq(X[:, chosen], X, rcond=None)[0]
+        sizes = np.linalg.norm(free, axis=0)
+        possible = sizes > 1e-6 * np.linalg.norm(X, axis=0)
+        gains = np.where(
+            possible, (residual @ free) ** 2 / np.where(possible, sizes, 1.0) ** 2, 0.0
+        )
+        best = int(np.argmax(gains))
+        near = np.flatnonzero(possible & (gains > gains[best] - _EQUIVALENT))
+        alternatives.append(tuple(mechanism.parameters[i].id for i in near if i != best))
+        chosen.append(best)
+        amounts = np.linalg.lstsq(X[:, chosen], y, rcond=None)[0]
+        residual = y - X[:, chosen] @ amounts
+    if not chosen:
+        return []
+    stds = np.sqrt(np.diag(np.linalg.inv(X[:, chosen].T @ X[:, chosen])))
+    rows = zip(chosen, amounts.tolist(), stds.tolist(), alternatives, strict=True)
+    named = [Change(mechanism.parameters[i], *row) for i, *row in rows]
+    return sorted(named, key=lambda change: -abs(change.value / change.std))
+
+
+def history_of(paths: Sequence[Path]) -> History:
+    """Return the history of results in folders, dated by their names, else by their files.
+
+    Raises:
+        FileError: no result is in a folder.
+        MeasurementError: results of different machines, or that did not converge.
+    """
+    folders = list[Path]()
+    for path in paths:
+        inside = [path] if (path / RESULT).is_file() else sorted(path.glob(f"*/{RESULT}"))
+        if not inside:
+            raise FileError(
+                f"{path} holds no result; 'pincal calibrate MECH DATA.csv -o {path}/2026-03-31' "
+                "makes one"
+            )
+        folders += [file.parent if file.name == RESULT else file for file in inside]
+    if len(folders) < 2:
+        raise MeasurementError("one calibration is no history; give two or more results")
+    loaded = [(_date_of(folder), folder.name, load_result(folder)) for folder in folders]
+    loaded.sort(key=lambda dated: dated[:2])
+    dates, names, results = zip(*loaded, strict=True)
+    for name, result in zip(names, results, strict=True):
+        if not result.converged:
+            raise MeasurementError(f"{name}: the fit {result.message}; leave this result out")
+        if result.nominal.parameters.ids != results[0].nominal.parameters.ids:
+            raise MeasurementError(
+                f"{name} is of a machine with other parameters than {names[0]}; give results of one"
+            )
+    return History(names, dates, results)
+
+
+def _date_of(folder: Path) -> date:
+    """Return the date in a folder's name, or when its result was written."""
+    for match in _DATE.finditer(folder.name):
+        with suppress(ValueError):
+            return date(int(match[1]), int(match[2]), int(match[3] or 1))
+    return date.fromtimestamp((folder / RESULT).stat().st_mtime)

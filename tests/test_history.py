@@ -1,0 +1,99 @@
+"""A machine over months: what changed is named, noise is not, and the drift says when it is due."""
+
+from __future__ import annotations
+
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import done, run
+
+import pincal
+from pincal.calibration.history import History, changes
+
+NOISE = pincal.Noise(position=2e-5)
+MACHINE = pincal.load_mechanism("5R")
+PLAN = pincal.sample_configurations(MACHINE, 15, 1)
+
+
+def calibrated(seed: int, **moved: float) -> pincal.CalibrationResult:
+    """Return a calibration of one machine, of which some parameters of leg 2 moved."""
+    truth = pincal.disturb(MACHINE, 2e-4, seed=0)
+    values = {f"leg_2.{name}": truth.parameters[f"leg_2.{name}"].nominal for name in moved}
+    truth = truth.with_parameters({id_: values[id_] + moved[id_[6:]] for id_ in values})
+    data = pincal.simulate(MACHINE, truth, PLAN, NOISE, seed).measurements
+    return pincal.calibrate(MACHINE, data, noise=NOISE)
+
+
+@pytest.fixture(scope="module")
+def first() -> pincal.CalibrationResult:
+    """The machine as it was."""
+    return calibrated(1)
+
+
+@pytest.mark.parametrize("name", ["l", "A_x", "gamma"])
+def test_what_changed_is_named(first: pincal.CalibrationResult, name: str) -> None:
+    """One planted change is found alone, its value within three of its standard errors.
+
+    Parameters that would explain it as well are few, and the standard error is smaller than the
+    parameter's own: what it is certain of together with the others counts.
+    """
+    later = calibrated(2, **{name: 1e-3})
+    (change,) = changes(first, later)
+    assert change.parameter.id == f"leg_2.{name}"
+    assert change.value == pytest.approx(1e-3, abs=3.0 * change.std)
+    alone = np.hypot(first[f"leg_2.{name}"].std, later[f"leg_2.{name}"].std)
+    assert change.std < alone
+
+
+def test_noise_changes_nothing(first: pincal.CalibrationResult) -> None:
+    """Two calibrations of one machine differ by noise."""
+    assert changes(first, calibrated(3)) == []
+
+
+def test_drift_is_that_of_the_machine(first: pincal.CalibrationResult) -> None:
+    """The platform drifts as what was planted moves it; a check is due when that is used up."""
+    daily, days = 1e-5, (0, 40, 90, 150)
+    results = (first, *(calibrated(10 + day, gamma=daily * day) for day in days[1:]))
+    dates = tuple(date.fromordinal(date(2026, 1, 1).toordinal() + day) for day in days)
+    machine = History(tuple(map(str, days)), dates, results)
+    truth = pincal.disturb(MACHINE, 2e-4, seed=0)
+    moved = truth.with_parameters({"leg_2.gamma": truth.parameters["leg_2.gamma"].nominal + 1e-4})
+    expected = pincal.accuracy(truth, moved, PLAN).position / 10.0
+    rate, twice = machine.drift
+    assert rate == pytest.approx(expected, rel=0.03)
+    assert abs(rate - expected) < 2.0 * twice < 0.1 * rate
+    last = results[-1].expected_error().position
+    left = (machine.due(5e-4) - dates[-1]).days
+    assert left == int(np.sqrt(5e-4**2 - last**2) / (rate + twice))
+    assert machine.due(last) == dates[-1]
+    assert History(machine.names[:2], dates[:2], results[:2]).drift is None
+
+
+@pytest.mark.slow
+def test_history_is_a_verdict_and_a_page(first: pincal.CalibrationResult, tmp_path: Path) -> None:
+    """Verdict first, the change named with its dates, and a page that needs nothing else."""
+    folder, page = tmp_path / "machine", tmp_path / "history.html"
+    folder.mkdir()
+    for month, result in (
+        ("2026-03", first),
+        ("2026-05", calibrated(2)),
+        ("2026-01", calibrated(3)),
+    ):
+        result.save(folder / month)
+    outcome = done("history", folder, "--accuracy", "1mm", "-o", page)
+    lines = outcome.out.splitlines()
+    assert lines[0].startswith(
+        "✓ 5R: unchanged in 3 calibrations since 2026-01-01 · next check: not"
+    )
+    assert lines[-1].startswith("next: ")
+    calibrated(4, l=1e-3).save(folder / "2026-06")
+    outcome = run("history", folder, "-o", page, "--force")
+    assert outcome.code == 1
+    assert "leg_2.l moved by +" in outcome.out
+    assert "between 2026-05 and 2026-06" in outcome.out
+    text = page.read_text(encoding="utf-8")
+    assert "leg_2.l moved by +" in text
+    assert "http" not in text.partition("<main>")[2]
+    assert "no result" in run("history", tmp_path / "none").trouble
