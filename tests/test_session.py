@@ -7,8 +7,10 @@ import io
 import json
 import os
 import sys
+import time
 from functools import cache
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,9 @@ from command_line import done, run
 import pincal
 from pincal.calibration.promise import errors_inside
 from pincal.calibration.session import Session, SessionOptions
+from pincal.cli.machine import SimulatedMachine, serve
 from pincal.files.columns import columns_of
+from pincal.files.journal import Journal
 from pincal.show.measuring import verdict_on_row
 
 ACCURACY = 5e-5
@@ -180,6 +184,50 @@ def test_full_disk_loses_nothing(begun: Session, monkeypatch: pytest.MonkeyPatch
     assert begun.journal.path.read_bytes() == before
     assert not begun.add(bench().entry(begun.columns, row)).off
     begun.undo()
+
+
+def test_any_row_can_be_undone(tmp_path: Path) -> None:
+    """A row among others is taken out of the file, and rows go on behind the last."""
+    journal = Journal(tmp_path / "s", ["row", "x [mm]"])
+    for row in "1234":
+        journal.append({"row": row, "x [mm]": row * int(row)})
+    journal.undo(1)
+    journal.append({"row": "5"})
+    journal.undo(2)
+    with pytest.raises(pincal.MeasurementError, match="no such row"):
+        journal.undo(3)
+    assert journal.path.read_text() == "row,x [mm]\n1,1\n3,333\n5,\n"
+    assert journal.path.with_name("undone.csv").read_text() == "2,22\n4,4444\n"
+    journal.close()
+    assert Journal(tmp_path / "s", ["row", "x [mm]"]).rows == journal.rows
+
+
+@pytest.mark.slow
+def test_simulated_machine_answers_a_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over TCP a session goes to its end by itself; slips of ten σ are measured again."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    mechanism = pincal.load_mechanism("5R")
+    truth = pincal.disturb(mechanism, seed=3)
+    machine = SimulatedMachine(mechanism, truth, NOISE, pincal.Setup(), pincal.model.units.SI)
+    machine.rng, machine.slips = np.random.default_rng(1), 0.15
+    assert json.loads(machine.answer('{"leg_1 [deg]": 0}'))["trouble"].startswith("no set point of")
+    ports: list[str] = []
+    monkeypatch.setattr("pincal.cli.machine.say", ports.append)
+    Thread(target=serve, args=(machine, 0), daemon=True).start()
+    while not ports:
+        time.sleep(0.01)
+    noise = ("--noise-position", "20um", "--noise-reading", "0.01mrad", "--accuracy", "0.1mm")
+    command = ("measure", "5R", "--session", "s", "--terminal", "--tcp", ports[0], *noise)
+    outcome = done(*command)
+    assert "enough: 0.1 mm reached" in outcome.out
+    assert Path("s/undone.csv").is_file()  # slips
+    result = pincal.calibrate(mechanism, "s/rows.csv", noise=NOISE)
+    assert result.promises
+    workspace = pincal.sample_configurations(mechanism, 100, 9)
+    assert pincal.accuracy(result.identified, truth, workspace).position < 1e-4
 
 
 def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -254,15 +254,15 @@ class Session:
         cells = {head: column[row] for head, column in self.sheet.items()}
         heads = {name: head for head in self.columns for name in (head, head.partition(" [")[0])}
         for name, cell in entry.items():
-            if name not in heads:
-                raise MeasurementError(
-                    f"no column {name!r} is measured; expected {', '.join(self.columns)}"
-                )
+            if name not in heads:  # an instrument may say more
+                continue
             if cell.strip() and not abs(plain_number(cell)) <= LARGEST:
                 raise MeasurementError(f"{heads[name]}: {cell!r} is no number; enter the row again")
             cells[heads[name]] = cell.strip()
         if self.observed and not any(cells[head] for head in self.observed):
-            raise MeasurementError(f"nothing was measured; enter {', '.join(self.observed)}")
+            raise MeasurementError(
+                f"nothing was measured: {', '.join(entry)}; expected {', '.join(self.observed)}"
+            )
         for head in self.columns:
             if head not in self.observed:
                 cells[head] = cells[head] or cells[f"{PLANNED}{head}"]
@@ -272,14 +272,14 @@ class Session:
         """Take the last row as it is, though it is off."""
         self._judge(self._read(), keep=True)
 
-    def undo(self) -> None:
-        """Take the last row back.
+    def undo(self, row: int = -1) -> None:
+        """Take a row back, the last if none is named.
 
         Raises:
-            MeasurementError: there is none.
+            MeasurementError: there is no such row.
             FileError: it cannot be written.
         """
-        self.journal.undo()
+        self.journal.undo(row)
         self._restart()
 
     def _read(self) -> Calibration:

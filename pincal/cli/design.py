@@ -11,8 +11,9 @@ import numpy as np
 import typer
 
 import pincal
-from pincal import FileError, Margins, MeasurementError, Noise, Setup
+from pincal import FileError, Margins, MeasurementError, Mechanism, Noise, Plan, Setup
 from pincal.cli.app import command, remark, stdout, working, wrote
+from pincal.cli.machine import SimulatedMachine, serve
 from pincal.cli.options import (
     FORCE,
     SEED,
@@ -29,6 +30,7 @@ from pincal.design.planning import (
     sampled,
     with_reading_noise,
 )
+from pincal.design.simulate import Simulation
 from pincal.files.columns import Columns, columns_of, reading_columns, write_sheet
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
@@ -193,41 +195,77 @@ class SimulateOptions(TableOptions):
         "Folder for the true mechanism. Without --disturb, if it exists, it is the truth.",
         metavar="TRUE_MECH",
     )
+    serve: int | None = option(
+        None,
+        "Answer as a machine on this port of this machine, for 'pincal measure --tcp'; 0: a free "
+        "one.",
+        metavar="PORT",
+        least=0,
+        most=65535,
+    )
+    slips: float = option(0.0, "With --serve: share of rows off by 10 σ.", least=0, most=1)
+    drift: float = option(0.0, "With --serve: drift along x from row to row [m].", unit="m")
+
+
+def _true_mechanism(
+    mechanism: Mechanism, options: SimulateOptions, rng: np.random.Generator
+) -> tuple[Mechanism, bool]:
+    """Return the true mechanism, and whether it was made.
+
+    Raises:
+        FileError: that of a folder is another machine.
+    """
+    truth = options.truth
+    if truth is None or options.disturb is not None or not truth.is_dir():
+        return pincal.disturb(mechanism, options.disturb, rng), True
+    true_mechanism = pincal.load_mechanism(truth)
+    kinds = [(m.leg_names, m.platform.kind) for m in (true_mechanism, mechanism)]
+    if kinds[0] != kinds[1]:
+        raise FileError(
+            f"{truth} holds {true_mechanism.name!r}, whose legs or platform differ from those "
+            f"of {mechanism.name!r}"
+        )
+    return true_mechanism, False
 
 
 @command
 def simulate(
     mech: Mech,
-    plan: Annotated[Path, typer.Argument(metavar="PLAN.csv", help="Poses to command.")],
-    output: Annotated[Path, output_option("MEASUREMENTS.csv", "Measured poses and readings.")],
     options: SimulateOptions,
     noise: Noise,
+    plan: Annotated[
+        Path | None, typer.Argument(metavar="PLAN.csv", help="Poses to command.")
+    ] = None,
+    output: Annotated[
+        Path | None, output_option("MEASUREMENTS.csv", "Measured poses and readings.")
+    ] = None,
     force: Force = False,
 ) -> None:
     """Simulate measurements of a disturbed machine.
 
     The nominal mechanism commands the poses, the true one moves. A machine with more legs than
     degrees of freedom is placed at the poses themselves. Poses that the true mechanism cannot reach
-    are left out and named.
+    are left out and named. With --serve it is the machine beside which 'pincal measure' works.
     """
+    if options.serve is None and (plan is None or output is None):
+        raise typer.BadParameter("give PLAN.csv and -o MEASUREMENTS.csv, or --serve PORT")
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
-    truth = options.truth
     disturbed, measured = map(np.random.default_rng, np.random.SeedSequence(options.seed).spawn(2))
-    outputs: list[tuple[Path, Sequence[str]]] = [(output, ())]
-    if truth is not None and options.disturb is None and truth.is_dir():
-        true_mechanism = pincal.load_mechanism(truth)
-        kinds = [(m.leg_names, m.platform.kind) for m in (true_mechanism, mechanism)]
-        if kinds[0] != kinds[1]:
-            raise FileError(
-                f"{truth} holds {true_mechanism.name!r}, whose legs or platform differ from those "
-                f"of {mechanism.name!r}"
-            )
-    else:
-        outputs = [(truth, MECHANISM_FILES), *outputs] if truth is not None else outputs
-        true_mechanism = pincal.disturb(mechanism, options.disturb, disturbed)
+    outputs: list[tuple[Path, Sequence[str]]] = [] if output is None else [(output, ())]
+    true_mechanism, made = _true_mechanism(mechanism, options, disturbed)
+    if made and options.truth is not None:
+        outputs = [(options.truth, MECHANISM_FILES), *outputs]
     refuse_existing_of(outputs, force=force)
     setup = Setup() if options.setup_file is None else read_setup(options.setup_file)
+    if plan is None or output is None:
+        with writing_together(outputs, force=force) as scratch:
+            for folder in scratch:
+                write_mechanism(true_mechanism, folder)
+        machine = SimulatedMachine(mechanism, true_mechanism, noise, setup, units)
+        machine.rng, machine.slips, machine.drift = measured, options.slips, options.drift
+        serve(machine, options.serve or 0)
+        return
     planned = read_poses(plan, true_mechanism, setup=setup)
     with working("simulating measurements"):
         simulation = pincal.simulate(mechanism, true_mechanism, planned, noise, measured, setup)
@@ -238,9 +276,14 @@ def simulate(
         write_table(scratch[-1], columns_of(mechanism, simulation.measurements), units=units)
         for folder in scratch[:-1]:
             write_mechanism(true_mechanism, folder)
+    _say_unreached(planned, simulation)
+    wrote(*(path for path, _ in outputs))
+
+
+def _say_unreached(planned: Plan, simulation: Simulation) -> None:
+    """Say which rows of a plan were not measured, and why."""
     for reason in dict.fromkeys(reason for _, reason in simulation.unreachable):
         places = [planned.place(row) for row, why in simulation.unreachable if why == reason]
         remark(f"not measured, {reason}: {listed(places)} of the plan")
     lost = len(simulation.unreachable)
     remark(f"{len(simulation.measurements)} poses measured, {lost} not reached")
-    wrote(*(path for path, _ in outputs))

@@ -35,8 +35,8 @@ _PATIENCE = 5.0  # seconds in which an instrument must take the call
 _WAIT = 0.2  # seconds between two looks at a file that grows
 _HELP = (
     "enter what was measured, in the columns' order; readings that are left out are those "
-    "commanded. u: undo the last row; s: skip this pose; r N: measure row N; p: parameters; q: "
-    "quit (the same command goes on)"
+    "commanded. u: undo the last row, u 3 the third; s: skip this pose; r 12: measure row 12; p: "
+    "parameters; q: quit (the same command goes on)"
 )
 Ask = Callable[[dict[str, float]], str]
 """Returns the line that a source gives at set points."""
@@ -172,6 +172,9 @@ def _answer(stream: TextIO, points: dict[str, float]) -> str:
         line = stream.readline()
     if not line:
         raise FileError("the other end hung up; start it again, then this command")
+    if line.startswith('{"trouble"'):
+        warn(f"the pose is skipped: {line.strip()}")
+        return "s"
     return line
 
 
@@ -179,35 +182,58 @@ def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None
     """Measure one pose after another, until the user leaves, or a source has given enough."""
     if ask is None:
         say(_HELP)
-    repeated, chosen = False, None
-    while not (ask and session.enough):
+    chosen, again = None, set[int]()
+    while not (ask and session.enough and not session.doubtful):
         row, gain = session.next_pose()
         row = row if chosen is None else chosen
-        if session.questioned and ask and not sys.stdin.isatty():  # what comes twice is no slip
-            line, repeated = "k" if repeated else "u", not repeated
-        elif session.questioned:
+        line = _decided(session, again) if ask and not sys.stdin.isatty() else ""
+        if not line and session.questioned:
             line = input("u: undo it, k: keep it > ")
-        else:
+        elif not line:
             points = _shown(session, row, gain)
             line = ask(points) if ask else input("> ")
-        match line.split():
-            case []:
-                pass
-            case ["q"]:
-                return
-            case ["p"]:
-                stdout.print(parameters(session) or "nothing is known yet")
-            case ["r", number] if number.isdecimal() and 0 < int(number) <= len(session.plan):
-                chosen = int(number) - 1
-                continue
-            case _:
-                try:
-                    say(*filter(None, (obeyed(session, line, row, pattern), *progress(session))))
-                    chosen = None
-                except MeasurementError as error:
-                    if ask:
-                        raise
-                    warn(str(error))
+        try:
+            chosen = _taken(session, line, row, pattern)
+        except MeasurementError as error:
+            if ask:
+                raise
+            warn(str(error))
+
+
+def _taken(session: Session, line: str, row: int, pattern: str | None) -> int | None:
+    """Do what a line says at a row of the plan; return the row that it chooses, if it does.
+
+    Raises:
+        EOFError: it says to leave.
+        MeasurementError: it is no measurement.
+    """
+    match line.split():
+        case []:
+            return row
+        case ["q"]:
+            raise EOFError
+        case ["p"]:
+            stdout.print(parameters(session) or "nothing is known yet")
+            return row
+        case ["r", number] if number.isdecimal() and 0 < int(number) <= len(session.plan):
+            return int(number) - 1
+    say(*filter(None, (obeyed(session, line, row, pattern), *progress(session))))
+    return None
+
+
+def _decided(session: Session, again: set[int]) -> str:
+    """Return what to do with a row that is off where nobody is there; empty if none is.
+
+    A pose is measured once more: what comes twice is no slip.
+    """
+    if session.doubtful:
+        return f"u {session.doubtful[0] + 1}"
+    if not session.questioned:
+        return ""
+    row = session.measured[-1]
+    line = "k" if row in again else "u"
+    again.add(row)
+    return line
 
 
 def _shown(session: Session, row: int, gain: float) -> dict[str, float]:

@@ -73,25 +73,32 @@ class Journal:
         self._append(row)
         self.rows.append(row)
 
-    def undo(self) -> None:
-        """Take the last row back, after a copy of it is on disk in ``undone.csv``.
+    def undo(self, row: int = -1) -> None:
+        """Take a row back, the last if none is named, after a copy is on disk in ``undone.csv``.
 
         Raises:
             FileError: it cannot be written, as on a full disk.
-            MeasurementError: there is no row.
+            MeasurementError: there is no such row.
         """
-        if not self.rows:
-            raise MeasurementError("there is no row to undo")
-        begin, end = self._ends[-2:]
+        if not -1 <= row < len(self.rows) or not self.rows:
+            raise MeasurementError("there is no such row to undo")
+        row = range(len(self.rows))[row]
+        begin, end = self._ends[row + 1 : row + 3]
         with _saying(f"the row was not undone: {self._undone}"):
             with self._undone.open("ab") as undone:
                 undone.write(os.pread(self._file, end - begin, begin))
                 undone.flush()
                 os.fsync(undone.fileno())
-            os.ftruncate(self._file, begin)
-            os.fsync(self._file)
-        self._ends.pop()
-        self.rows.pop()
+            new = self.path.with_suffix(".new")
+            with new.open("w+b") as file:
+                text = self._read()
+                file.write(text[:begin] + text[end:])
+                file.flush()
+                os.fsync(file.fileno())
+                new.replace(self.path)
+                os.dup2(file.fileno(), self._file)
+        del self.rows[row], self._ends[row + 2]
+        self._ends[row + 2 :] = [place - (end - begin) for place in self._ends[row + 2 :]]
 
     def _read(self) -> bytes:
         return os.pread(self._file, os.fstat(self._file).st_size, 0)

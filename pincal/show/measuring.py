@@ -70,7 +70,9 @@ def progress(session: Session) -> list[str]:
         )
     if session.doubtful is not None:
         row, sigma = session.doubtful
-        lines.append(f"row {row + 1} is {sigma:.1f} σ off what all others say: a slip?")
+        lines.append(
+            f"row {row + 1} is {sigma:.1f} σ off what all others say: undo it (u {row + 1})?"
+        )
     if session.enough:
         lines.append(f"enough: {amount(accuracy or 0.0, 'm')} reached; 'pincal calibrate' next")
     elif accuracy is not None and error is not None and error.limit[0] <= accuracy:
@@ -124,7 +126,8 @@ def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str,
 def obeyed(session: Session, line: str, row: int, pattern: str | None = None) -> str:
     """Do what a line says at a row of the plan; return what is to be said of it.
 
-    ``u`` undoes the last row, ``k`` keeps it, ``s`` skips the pose; all else was measured there.
+    ``u`` undoes the last row, ``u 3`` the third, ``k`` keeps the last, ``s`` skips the pose; all
+    else was measured there.
 
     Raises:
         MeasurementError: it is no measurement.
@@ -133,6 +136,8 @@ def obeyed(session: Session, line: str, row: int, pattern: str | None = None) ->
     match line.split():
         case ["u"]:
             session.undo()
+        case ["u", number] if number.isdecimal():
+            session.undo(int(number) - 1)
         case ["k"]:
             session.keep()
         case ["s"]:
@@ -199,6 +204,7 @@ def state(session: Session) -> dict[str, Any]:
         "verdict": "" if checked is None else verdict_on_row(checked),
         "progress": progress(session),
         "enough": session.enough,
+        "doubtful": session.doubtful[0] + 1 if session.doubtful else 0,
         "course": [1e3 * limit for limit in session.limits(session.measured)],
         "forecast": [1e3 * limit for limit in session.forecast],
         "goal": 1e3 * (session.options.accuracy or 0.0),

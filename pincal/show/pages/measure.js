@@ -62,6 +62,9 @@ function show(news) {
   at("verdict").textContent = news.off ? "" : news.verdict;
   at("undo").disabled = news.count === 0;
   at("progress").replaceChildren(...news.progress.map((line) => made("li", line)));
+  at("doubtful").hidden = !news.doubtful;
+  at("doubtful").textContent = `undo row ${news.doubtful}`;
+  at("doubtful").dataset.line = `u ${news.doubtful}`;
   at("progress").classList.toggle("enough", news.enough);
   at("parameters").replaceChildren(...news.parameters.map((row, i) =>
     made("tr", "", ...row.map((cell) => made(i ? "td" : "th", cell)))));
