@@ -206,7 +206,7 @@ def test_any_row_can_be_undone(tmp_path: Path) -> None:
 def test_simulated_machine_answers_a_session(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Over TCP a session goes to its end by itself; slips of ten σ are measured again."""
+    """Over TCP a session goes to its end by itself, and its promise is kept."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     mechanism = pincal.load_mechanism("5R")
@@ -223,7 +223,6 @@ def test_simulated_machine_answers_a_session(
     command = ("measure", "5R", "--session", "s", "--terminal", "--tcp", ports[0], *noise)
     outcome = done(*command)
     assert "enough: 0.1 mm reached" in outcome.out
-    assert Path("s/undone.csv").is_file()  # slips
     result = pincal.calibrate(mechanism, "s/rows.csv", noise=NOISE)
     assert result.promises
     workspace = pincal.sample_configurations(mechanism, 100, 9)

@@ -1,0 +1,214 @@
+"""Sessions of ``pincal measure`` on simulated machines: what they promise, and what they save.
+
+Each machine is disturbed anew, and measured with known noise until the session says "enough": which
+poses it took against a plan made beforehand, whether the true error is below what was promised,
+which slips of ten σ were caught when they came, and how often a sound row was called off.
+
+    python benchmarks/sessions.py [MACHINES] [KIND …]
+
+writes ``docs/tables/sessions.csv``. ``--kills N`` kills a session N times at random instead.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pincal
+from pincal.blas import one_thread
+from pincal.calibration.promise import seen_by
+from pincal.calibration.session import Session, SessionOptions
+from pincal.design.platform_error import root_mean_squares, seen_of, sizes
+from pincal.design.simulate import platform_errors
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+from arms import loaded  # noqa: E402
+from bench import NOISE, Bench  # noqa: E402
+
+CANDIDATES, PLANNED = 300, 60  # poses to choose from; of the plan made beforehand, at most
+SLIP, EVERY = 10.0, 4  # standard deviations; rows of which one slips, on its first try
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A machine, what is measured of it, and what is enough."""
+
+    mechanism: pincal.Mechanism
+    accuracy: float
+    setup: pincal.Setup = field(default_factory=pincal.Setup)
+    measured: tuple[str, ...] | None = None
+
+
+def kinds() -> dict[str, Kind]:
+    """Return the kinds of machines."""
+    unknown = pincal.Setup(unknown_frame=True)
+    return {
+        "3-RRR": Kind(pincal.load_mechanism("3RRR"), 4e-5),
+        "6-UPS": Kind(pincal.load_mechanism("6UPS"), 8e-5),
+        "UR5, position, unknown frame": Kind(loaded("ur5"), 5e-5, unknown, ("x", "y", "z")),
+    }
+
+
+def held(
+    kind: Kind, bench: Bench, folder: Path, rng: np.random.Generator, *, in_order: bool
+) -> dict[str, Any]:
+    """Hold a session to its end; return counts, and whether its promise was kept."""
+    options = SessionOptions(
+        noise=NOISE,
+        setup=kind.setup,
+        measured=kind.measured,
+        accuracy=kind.accuracy,
+        in_order=in_order,
+    )
+    session = Session(folder, kind.mechanism, bench.plan, options)
+    counts = dict.fromkeys(("slips", "caught", "sound", "alarms"), 0)
+    while not session.enough and len(session.measured) < len(bench.plan):
+        row, _ = session.next_pose()
+        cells = bench.entry(session.columns, row)
+        determined = session.error is not None and np.isfinite(session.error.position)
+        if not in_order and determined and rng.random() < 1.0 / EVERY:
+            head = rng.choice(session.observed)
+            sigma = 0.02 if "mm" in head else float(np.degrees(2e-5))
+            slipped = float(cells[head]) + SLIP * sigma * rng.choice((-1.0, 1.0))
+            checked = session.add({**cells, head: repr(slipped)}, row)
+            counts["slips"] += 1
+            counts["caught"] += checked.off
+            session.undo()
+        checked = session.add(cells, row)
+        counts["sound"] += checked.sigma is not None
+        counts["alarms"] += checked.off
+        if checked.off:
+            session.keep()
+    session.journal.close()
+    result = pincal.calibrate(
+        kind.mechanism, session.journal.path, noise=NOISE, setup=session.options.setup
+    )
+    workspace = session.candidates.workspace
+    error = result.expected_error(workspace)
+    inside = workspace.rows(error.within)
+    twists = platform_errors(result.identified, bench.truth, inside)[:, :, None]
+    unseen, units = seen_of(kind.mechanism, inside.poses, twists, seen_by(result))
+    true = root_mean_squares(sizes(units, unseen[:, :, 0]))[0]
+    limit = session.error.limit[0] if session.error is not None else np.inf
+    return counts | {
+        "poses": len(session.measured),
+        "enough": session.enough,
+        "kept": bool(true <= kind.accuracy),
+        "within": bool(true <= limit),
+        "true": true,
+        "share": session.share,
+    }
+
+
+def table(count: int, names: list[str]) -> list[dict[str, Any]]:
+    """Return a row for each kind of machine."""
+    rows = []
+    for name, kind in kinds().items():
+        if names and name not in names:
+            continue
+        candidates = pincal.sample_configurations(kind.mechanism, CANDIDATES, 5)
+        plan = pincal.select_configurations(
+            kind.mechanism,
+            candidates,
+            PLANNED,
+            measured=kind.measured,
+            setup=kind.setup,
+            noise=NOISE,
+        ).plan
+        plan = plan.rows(np.random.default_rng(0).permutation(len(plan)))
+        sessions, fixed = [], []
+        for seed in range(count):
+            rng = np.random.default_rng(seed)
+            bench = Bench(kind.mechanism, candidates, kind.setup, seed)
+            beforehand = Bench(kind.mechanism, plan, kind.setup, seed)
+            with tempfile.TemporaryDirectory() as folder:
+                sessions.append(held(kind, bench, Path(folder) / "a", rng, in_order=False))
+                fixed.append(held(kind, beforehand, Path(folder) / "b", rng, in_order=True))
+            print(name, seed, sessions[-1], fixed[-1]["poses"], flush=True)
+        total = {key: sum(one[key] for one in sessions) for key in sessions[0]}
+        rows.append(
+            {
+                "machine": name,
+                "machines": count,
+                "enough [mm]": 1e3 * kind.accuracy,
+                "reached": total["enough"],
+                "promise kept": total["kept"],
+                "poses (median)": float(np.median([one["poses"] for one in sessions])),
+                "poses of a fixed plan (median)": float(np.median([one["poses"] for one in fixed])),
+                "slips": total["slips"],
+                "caught": total["caught"],
+                "sound rows": total["sound"],
+                "false alarms": total["alarms"],
+            }
+        )
+    return rows
+
+
+WORKER = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+import pincal
+from bench import NOISE, Bench
+from pincal.calibration.session import Session, SessionOptions
+mechanism = pincal.load_mechanism("5R")
+bench = Bench(mechanism, pincal.sample_configurations(mechanism, 30, 3))
+session = Session(Path(sys.argv[1]), mechanism, bench.plan, SessionOptions(noise=NOISE))
+print("open", len(session.journal.rows), flush=True)
+while True:
+    row = session.next_pose()[0]
+    session.add(bench.entry(session.columns, row), row)
+    print("row", len(session.journal.rows), flush=True)
+    if len(session.journal.rows) % 7 == 0:
+        session.undo()
+        print("row", len(session.journal.rows), flush=True)
+"""
+
+
+def killed(times: int) -> None:
+    """Kill a session at random moments; every row that it said is there must be there again."""
+    lost = shown = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(times):
+            worker = subprocess.Popen(
+                [sys.executable, "-c", WORKER, f"{folder}/s", str(ROOT / "tests")],
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            assert worker.stdout is not None
+            opened = int(worker.stdout.readline().split()[1])
+            lost += max(0, shown - 1 - opened)  # a row may be on its way back
+            time.sleep(random.random() * 2.0)
+            os.kill(worker.pid, 9)
+            lines = worker.stdout.read().splitlines()
+            shown = int(lines[-1].split()[1]) if lines else opened
+            worker.wait()
+    print(f"killed {times} times: {lost} rows lost")
+
+
+@one_thread()
+def main(arguments: list[str]) -> None:
+    if arguments[:1] == ["--kills"]:
+        killed(int(arguments[1]))
+        return
+    count, names = int(arguments[0]) if arguments else 50, arguments[1:]
+    rows = table(count, names)
+    with (ROOT / "docs" / "tables" / "sessions.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
