@@ -16,10 +16,11 @@ from deployed import in_c, in_python
 from marks import quick
 from measured import seen_from_elsewhere, workspace
 from neighbours import coupled_five_bar, four_bar
+from scipy.spatial.transform import Rotation
 from test_deformations import machine_of, plan_of
 
 import pincal
-from pincal.formats.deployed.geometry import genhexkins
+from pincal.formats.deployed.geometry import deltakins, genhexkins
 from pincal.formats.deployed.tables import Deployed
 from pincal.kinematics.configurations import joints_at
 
@@ -184,3 +185,53 @@ def test_joint_centres_are_those_that_genhexkins_asks_for() -> None:
         np.testing.assert_allclose(length, zero + slope * 1e3 * readings[:, strut], atol=1e-6)
     with pytest.raises(pincal.MechanismError, match="no hexapod"):
         genhexkins(pincal.load_mechanism("6RUS"))
+
+
+def linuxcnc(kind: str, pins: dict[str, float], xyz: np.ndarray) -> list[float]:
+    """Return LinuxCNC's joints at a position [mm], as its deltas' common.h compute them."""
+    joints: list[float] = []
+    x, y, z = xyz
+    for turn in (0.0, -2.0 * np.pi / 3.0, 2.0 * np.pi / 3.0):
+        u, v = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
+        if kind == "lineardeltakins":
+            off = pins[f"J{len(joints)}off"]
+            joints.append(z + np.sqrt(pins["L"] ** 2 - u**2 - (pins["R"] - v) ** 2) + off)
+            continue
+        hip, thigh, shin, foot = (
+            pins[n] for n in ("platformradius", "thighlength", "shinlength", "footradius")
+        )
+        a = 0.5 * (u**2 + (v - foot) ** 2 + z**2 + thigh**2 - shin**2 - hip**2) / z
+        b = (foot - hip - v) / z
+        knee = (hip + a * b + np.sqrt(thigh**2 * (b**2 + 1.0) - (a - b * hip) ** 2)) / (b**2 + 1.0)
+        joints.append(np.degrees(np.arctan2(b * knee - a, knee - hip)))
+    return joints
+
+
+@pytest.mark.parametrize("name", ["delta", "linear_delta"])
+def test_deltas_are_those_that_linuxcnc_has_kinematics_for(name: str, tmp_path: Path) -> None:
+    """By its formulas, to 1e-6 mm or deg as drawn; of others the lines say how far they miss."""
+    drawn = pincal.load_mechanism(name)
+    poses = workspace(name, 60)
+    for robot in (drawn, pincal.disturb(drawn, 1e-3, seed=1)):
+        text = deltakins(robot, poses)
+        kind = text.split()[1]
+        pins = {k: float(v) for k, v in re.findall(rf"setp {kind}\.(\w+) (\S+)", text)}
+        laws = np.array(re.findall(r"joint \d \[\w+\] = (\S+) \+ (\S+) ×", text), dtype=float)
+        legs = [robot.leg_names.index(leg) for leg in re.findall(r"reading of (\w+)", text)]
+        X, Y, Z, R = (float(v) for v in re.findall(r" [XYZR](-?[\d.]+)", text.splitlines()[-1]))
+        turn = Rotation.from_euler("z", R, degrees=True)
+        placed = turn.apply(1e3 * poses) + np.array([X, Y, Z])
+        joints = np.array([linuxcnc(kind, pins, xyz) for xyz in placed])
+        unit = 1e-3 if kind == "lineardeltakins" else np.radians(1.0)
+        readings = np.empty_like(joints)
+        readings[:, legs] = unit * (joints - laws[:, 0]) / laws[:, 1]
+        if robot is drawn:
+            exact = pincal.inverse(robot, poses).readings
+            np.testing.assert_allclose(readings / unit, exact / unit, atol=1e-6)
+        missed = np.linalg.norm(pincal.forward(robot, readings).poses - poses, axis=1)
+        (most,) = re.findall(r"(\S+) mm at most", text)
+        np.testing.assert_allclose(1e3 * missed.max(), float(most), atol=1e-4)
+    pincal.deploy(drawn, tmp_path / "controller")
+    assert (tmp_path / "controller" / "linuxcnc.hal").read_text().startswith(f"# {kind}")
+    with pytest.raises(pincal.MechanismError, match="no delta"):
+        deltakins(pincal.load_mechanism("3PUU"), workspace("3PUU", 20))

@@ -27,8 +27,8 @@ def deploy(
 
     How do I command the robot now? Inverse and forward kinematics as one Python file and one C99
     header that need nothing else, in the frames that were measured; joint centres and lengths with
-    standard errors; HAL lines for LinuxCNC where the machine is a hexapod. FOLDER/commanding.md
-    says how to use them.
+    standard errors; HAL lines for LinuxCNC where the machine is a hexapod or a delta.
+    FOLDER/commanding.md says how to use them.
 
     Where the controller's geometry cannot be changed, --grid 4096 adds what to command in place of
     each pose (corrections.csv, and a function in both files), and says what error that leaves.

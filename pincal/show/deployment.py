@@ -24,7 +24,7 @@ from pincal.files.table import write_table
 from pincal.formats import deployed
 from pincal.formats.corrections import correction_grid, grid_columns
 from pincal.formats.deployed.files import c_header, python_file
-from pincal.formats.deployed.geometry import genhexkins, geometry_sheet
+from pincal.formats.deployed.geometry import deltakins, genhexkins, geometry_sheet
 from pincal.formats.deployed.tables import Deployed
 from pincal.kinematics.configurations import inverse
 from pincal.model.measurements import Plan
@@ -83,7 +83,7 @@ def deploy(
 
     Kinematics as one Python file and one C99 header that need nothing else, equal to pincal's; a
     sheet of joint centres and lengths, with standard errors of a result; HAL lines for LinuxCNC
-    where the machine is a hexapod; and ``commanding.md``, which says how to use them.
+    where the machine is a hexapod or a delta; and ``commanding.md``, which says how to use them.
 
     Args:
         machine: A result of ``calibrate`` or its folder, whose frame and measured point are
@@ -128,6 +128,9 @@ def deploy(
     files = {"kinematics.py": python_file(wanted), f"{prefix}.h": c_header(wanted, prefix)}
     with suppress(MechanismError):  # another machine than it is for
         files[LINUXCNC] = genhexkins(mechanism)
+    if mechanism.platform.kind == "translational" and not mechanism.by_readings:
+        with suppress(MechanismError):
+            files[LINUXCNC] = deltakins(mechanism, sample_workspace(mechanism, _UNSEEN))
     source = "the mechanism as drawn"
     if result is not None:
         unsure = ", which states no limit of its error: see its report" * (not result.promises)
@@ -188,7 +191,7 @@ def _uncertain(result: CalibrationResult) -> dict[str, tuple[Array, Array]]:
     return {leg.name: (result.covariance[part, part], held[part]) for leg, part in of_legs}
 
 
-def _how_to(wanted: Deployed, prefix: str, source: str, hexapod: bool) -> str:
+def _how_to(wanted: Deployed, prefix: str, source: str, linuxcnc: bool) -> str:
     """Return the page that says how to command the machine."""
     mechanism, platform = wanted.mechanism, wanted.mechanism.platform
     template = (Path(deployed.__file__).parent / HOW_TO).read_text("utf-8")
@@ -220,7 +223,7 @@ def _how_to(wanted: Deployed, prefix: str, source: str, hexapod: bool) -> str:
             + f", in this order the second argument of `inverse` and `forward`; nan where one is "
             f"not known, so that its terms are at their reference{loads or ''}."
         )
-    further = "| `linuxcnc.hal` | Joint centres for LinuxCNC's `genhexkins` |\n" * hexapod
+    further = "| `linuxcnc.hal` | HAL lines for LinuxCNC's own kinematics |\n" * linuxcnc
     values = {
         "name": mechanism.name,
         "version": __version__,

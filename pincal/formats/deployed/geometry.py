@@ -1,4 +1,4 @@
-"""Joint centres and lengths of a machine, as a data sheet and as LinuxCNC's hexapod has them.
+"""Joint centres and lengths of a machine, as a data sheet and as LinuxCNC has them.
 
 They are read off the closed forms of legs (``kinematics.closed_forms``): struts and cables, rods on
 cranks and on carriages. Standard errors are those of the parameters, carried on to first order.
@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from pincal.errors import MechanismError
 from pincal.kinematics.closed_forms import ClosedForm, closed_form
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.configurations import inverse
+from pincal.kinematics.forward import forward
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
@@ -144,3 +147,101 @@ def _strut(closure: LegClosure) -> ClosedForm | None:
     form = closed_form(closure)
     driven = form is not None and form.frame is None and closure.leg.active == [form.driven]
     return form if driven else None
+
+
+_AHEAD = {"lineardeltakins": 90.0, "rotarydeltakins": -90.0}  # azimuth of joint 0 [deg]
+_ALIKE = 0.05  # of the size: a machine that a delta's kinematics miss by more is none
+
+
+def _delta_joints(kind: str, parameters: Array, positions: Array) -> Array:
+    """Return the joints of LinuxCNC's deltas at positions in its frame, (N, 3), [m] or [rad].
+
+    Parameters are radius and rod; or hip less foot radius, shin and thigh, [m].
+    """
+    azimuths = np.radians(_AHEAD[kind] + np.array([0.0, 120.0, 240.0]))
+    along, z = np.array([np.cos(azimuths), np.sin(azimuths)]), positions[:, 2:]
+    ahead = positions[:, :2] @ along - parameters[0]
+    aside = positions[:, :2] @ np.array([-along[1], along[0]])
+    rod = parameters[1]
+    with np.errstate(invalid="ignore"):  # out of reach
+        if kind == "lineardeltakins":
+            return np.asarray(z + np.sqrt(rod**2 - ahead**2 - aside**2))
+        thigh = parameters[2]
+        reach = (thigh**2 + ahead**2 + aside**2 + z**2 - rod**2) / (2.0 * thigh)
+        return np.asarray(-np.arctan2(z, ahead) - np.arccos(reach / np.hypot(ahead, z)))
+
+
+def deltakins(mechanism: Mechanism, poses: Array) -> str:
+    """Return the lines of HAL for LinuxCNC's ``lineardeltakins`` or ``rotarydeltakins``, [mm].
+
+    Their few parameters, with a zero of each joint and a frame that is shifted and turned about z,
+    are fitted to the machine's drives at poses (N, 3); the lines say by how much they miss.
+
+    Raises:
+        MechanismError: no delta of three carriages or cranks above the platform, z upward.
+    """
+    refused = f"{mechanism.name!r} is no delta that LinuxCNC has kinematics for"
+    closures = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+    forms = [form for c in closures if (form := closed_form(c)) and c.leg.active == [form.driven]]
+    ways = np.array([form.frame[2, 1] for form in forms if form.frame is not None])
+    if mechanism.platform.kind != "translational" or not len(ways) == len(closures) == 3:
+        raise MechanismError(refused)
+    points = np.array([closure.targets(np.eye(4)[None])[0] for closure in closures])
+    towers = np.array([form.centre for form in forms]) - points
+    turns = np.arctan2(towers[:, 1], towers[:, 0])
+    order = np.argsort((turns - turns[0] + 0.1) % (2.0 * np.pi))  # counterclockwise
+    turning = forms[0].radius > 0.0
+    kind = "rotarydeltakins" if turning else "lineardeltakins"
+    sizes = [np.hypot(*towers[:, :2].T).mean(), forms[0].length, forms[0].radius][: 2 + turning]
+    solved = inverse(mechanism, poses).joints
+    drives = [solved[leg.name][:, leg.active[0]] for leg in mechanism.legs]
+    signs = np.sign(-ways if turning else ways)[order]
+    q = signs * np.transpose(drives)[:, order]
+
+    def joints(unknowns: Array) -> Array:
+        """Return the joints less their zeros; unknown are frame (4), zeros (3), lengths."""
+        (x, y, z, turn), zeros, lengths = np.split(unknowns, [4, 7])
+        c, s = np.cos(turn), np.sin(turn)
+        frame = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        shift = np.array([x, y, z * turning])  # along z, zeros of carriages do the same
+        return _delta_joints(kind, lengths, (poses - shift) @ frame) - zeros
+
+    begin = np.array([0.0, 0.0, 0.0, turns[0] - np.radians(_AHEAD[kind]), 0.0, 0.0, 0.0, *sizes])
+    begin[4:7] = np.nan_to_num(joints(begin) - q).mean(axis=0)
+    fitted = least_squares(lambda u: np.nan_to_num(joints(u) - q).ravel(), begin, x_scale="jac").x
+    laws = [sensor_law(closures[leg]) for leg in order]
+    start, slope = (np.array([getattr(law, n)[0] for law in laws]) for n in ("start", "slope"))
+    readings = np.empty_like(q)
+    readings[:, order] = (signs * joints(fitted) - start) / slope
+    known = np.isfinite(readings).all(axis=1)
+    arrived = forward(mechanism, readings[known], poses[known]).poses
+    missed = np.linalg.norm(arrived - poses[known], axis=1)
+    if not known.all() or not missed.max() < _ALIKE * mechanism.size:
+        raise MechanismError(refused)
+    (x, y, z, turn), zeros, lengths = np.split(fitted, [4, 7])
+    values = dict(zip(("R", "L"), lengths, strict=False))
+    values |= {f"J{joint}off": -zero for joint, zero in enumerate(zeros)}
+    unit, scale = "mm", 1e3
+    if turning:
+        foot, (hip, shin, thigh) = float(np.hypot(*points[:, :2].T).mean()), lengths
+        values = {"platformradius": hip + foot, "thighlength": thigh}
+        values |= {"shinlength": shin, "footradius": foot}
+        start, unit, scale = start + signs * zeros, "deg", np.degrees(1.0)
+    c, s = np.cos(turn), np.sin(turn)
+    at = -1e3 * np.array([c * x + s * y, c * y - s * x, z * turning])
+    usual = np.quantile(missed, 0.95)
+    lines = [
+        f"# {kind} of {mechanism.name} [mm]: INI [KINS] JOINTS = 3, KINEMATICS = {kind}",
+        f"# these parameters are all that {kind} holds: it misses poses by {1e3 * usual:.4f} mm "
+        f"(95 %), {1e3 * missed.max():.4f} mm at most",
+        *(f"setp {kind}.{name} {1e3 * value:.9f}" for name, value in values.items()),
+    ]
+    for joint, leg in enumerate(order):
+        zero, rate = signs[joint] * start[joint] * scale, signs[joint] * slope[joint]
+        reading = f"reading of {mechanism.legs[leg].name} [{unit}]"
+        lines.append(f"# joint {joint} [{unit}] = {zero:.9f} + {rate:.12f} × {reading}")
+    lines.append(
+        f"# the machine's base frame as a work offset: G10 L2 P1 X{at[0]:.9f} Y{at[1]:.9f} "
+        f"Z{at[2]:.9f} R{np.degrees(-turn):.9f}"
+    )
+    return "\n".join(lines) + "\n"
