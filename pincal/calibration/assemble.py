@@ -367,8 +367,9 @@ def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
     measured = {name: (i, observation.measured[:, i]) for i, name in columns_of}
     between = observation.setup.between
     for point, columns, rows in touches(observation):  # point by point, in place of all together
-        for column, axis in zip(columns.tolist(), "xyz", strict=False):
+        for column in columns.tolist():
             measured.pop(observation.names[column], None)
+            axis = observation.names[column].rpartition("_")[2]
             if not point.startswith(f"{ROW}_"):  # what is where a row stood
                 measured[f"{point}_{axis}"] = column, rows
     for name, (column, rows) in measured.items():
