@@ -148,11 +148,7 @@ def carry(leg: Leg, element: Element) -> Leg:
         SymmetryError: a placement whose coordinates cannot express the carried leg, or parameters
             that have terms.
     """
-    if varying := [parameter for parameter, term in leg.terms if term.of != LOAD]:
-        raise SymmetryError(
-            f"{leg.name}: {listed(varying)} have terms, of which the {element} may make others; "
-            "carry the leg without them, and give them to the legs that it becomes"
-        )
+    _check_terms(leg, element)
     old, new = leg.nominal_by_name, dict(leg.parameters)
     local = LOCAL_MIRROR if element.reflection else np.eye(3)
     on_base = {joint.name for joint, i in zip(leg.joints, leg.carriers, strict=True) if i < 0}
@@ -160,22 +156,19 @@ def carry(leg: Leg, element: Element) -> Leg:
     def carried(joint: Joint, closes: object = None) -> Joint:
         """Return a joint of the leg, carried, or a platform point, where it closes something."""
         context = f"{leg.name}, joint {joint.name!r}"
-        p = joint.placement
-        constant = p.rest(old, context).copy()
+        constant = joint.placement.rest(old, context).copy()
         if closes or joint.name in on_base:
-            isometry = element.platform if closes else element.base
-            moved, residual = _on_body(p, isometry, constant, old, new, f"{context}: the {element}")
+            body, context = (
+                element.platform if closes else element.base,
+                f"{context}: the {element}",
+            )
+            moved, residual = _on_body(joint.placement, body, constant, old, new, context)
             if closes == "point":  # its frame has no meaning
                 residual[:3, :3] = constant[:3, :3]
         else:
-            coordinates = p.coordinates
-            if element.reflection:  # of polar and spherical coordinates the azimuth turns over
-                coordinates = tuple(
-                    c
-                    if c.kind in ("x", "z", "ry")
-                    else Coordinate(c.kind, (*c.values[:-1], _negative(c.values[-1], old, new)))
-                    for c in coordinates
-                )
+            coordinates = joint.placement.coordinates
+            if element.reflection:
+                coordinates = tuple(_mirrored(c, old, new) for c in coordinates)
             moved, residual = Placement(coordinates), constant
             residual[:3, :3] = local @ constant[:3, :3] @ local
             residual[:3, 3] = local @ constant[:3, 3]
@@ -189,6 +182,15 @@ def carry(leg: Leg, element: Element) -> Leg:
     ends = tuple(end.moved(partial(carried, closes=end.closes)) for end in leg.ends)
     parameters = tuple(new.items())
     return canonical(replace(leg, joints=joints, point=point, ends=ends, parameters=parameters))
+
+
+def _check_terms(leg: Leg, element: Element) -> None:
+    """Raise SymmetryError if parameters of a leg deform by more than loads."""
+    if varying := [parameter for parameter, term in leg.terms if term.of != LOAD]:
+        raise SymmetryError(
+            f"{leg.name}: {listed(varying)} have terms, of which the {element} may make others; "
+            "carry the leg without them, and give them to the legs that it becomes"
+        )
 
 
 def canonical(leg: Leg) -> Leg:
@@ -263,6 +265,14 @@ def _absorb_turn(
         upper=joint.upper + limits,
     )
     return turned, sensor
+
+
+def _mirrored(c: Coordinate, old: dict[str, float], new: dict[str, float]) -> Coordinate:
+    """Return a coordinate within the leg after the local mirror."""
+    if c.kind in ("x", "z", "ry"):
+        return c
+    # of polar and spherical ones the azimuth turns over
+    return Coordinate(c.kind, (*c.values[:-1], _negative(c.values[-1], old, new)))
 
 
 def _negative(value: Value, old: dict[str, float], new: dict[str, float]) -> Value:

@@ -110,6 +110,36 @@ class StandingLeg:
         reach = form.reach() if form is not None and form.frame is None else None
         return None if reach is None or not reach.exact else reach.normals
 
+    def __len__(self) -> int:
+        """Return the number of joints."""
+        return len(self.joints)
+
+    @property
+    def space(self) -> int:
+        """Dimensions in which the mechanism moves."""
+        return self.closure.platform.space
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the joints, and of the platform points behind them."""
+        return [joint.name for joint in (*self.joints, *self.closure.leg.points)]
+
+    @property
+    def closes(self) -> list[str]:
+        """What its ends close."""
+        return sorted(str(end.closes) for end in self.closure.leg.every_end)
+
+    @property
+    def build(self) -> list[tuple[str, object]]:
+        """What has to be equal, by name: like kinds of joints, which of them are read or geared."""
+        names = [joint.name for joint in self.joints]
+        return [
+            ("sequence of joints", [joint.kind for joint in self.joints]),
+            ("active joint", self.active),
+            ("gears", [names.index(joint.leader.joint) for joint in self.joints]),
+            ("end", self.closes),
+        ]
+
     @property
     def base(self) -> Array:
         """Where the leg begins: on its first revolute axis, or its tip, shape (3,), [m]."""
@@ -140,51 +170,42 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
 
     The second one is at the pose to which that of the first is carried.
     """
-    leg, image = first.closure.leg, second.closure.leg
-    space, Q = first.closure.platform.space, element.matrix
-    ends = [sorted(str(end.closes) for end in shape.every_end) for shape in (leg, image)]
-    if leg.ends and ends[0] == ends[1] and len(first.joints) == len(second.joints):
+    if first.closure.leg.ends and first.closes == second.closes and len(first) == len(second):
         second = second.like(first, element)
-    equal = {
-        "sequence of joints": [j.kind for j in first.joints] == [j.kind for j in second.joints],
-        "active joint": first.active == second.active,
-        "gears": _leaders(first.joints) == _leaders(second.joints),
-        "end": ends[0] == ends[1],
-        "reach of the pose that home is carried to": second.reached,
-    }
-    if unlike := [quantity for quantity, agrees in equal.items() if not agrees]:
-        yield Difference(unlike[0], None)
+    pairs = zip(first.build, second.build, strict=True)
+    unlike = [quantity for (quantity, ours), (_, theirs) in pairs if ours != theirs]
+    if unlike or not second.reached:
+        reach = "reach of the pose that home is carried to"
+        yield Difference(next(iter(unlike), reach), None)
         return
     ratios = [[abs(j.leader.ratio) for j in shape.joints] for shape in (first, second)]
     yield Difference("ratios of gears", float(np.ptp(ratios, axis=0).max(initial=0.0)), "m")
-    names = [joint.name for joint in second.joints]
     shifts = applied(element.base, np.vstack((first.points, first.tips)))
-    shifts = shifts - np.vstack((second.points, second.tips))
-    points = [end.point.name for end in image.every_end if end.point]
-    for name, shift in zip((*names, *points), lengths(shifts[:, :space]).tolist(), strict=True):
+    apart = lengths((shifts - np.vstack((second.points, second.tips)))[:, : first.space])
+    for name, shift in zip(second.names, apart.tolist(), strict=True):
         yield Difference(f"position of joint {name!r}", shift, "m")
+    yield from _turns_apart(first, element.matrix, second)
+
+
+def _turns_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> Iterator[Difference]:
+    """Yield in what joints differ whose axes a matrix carried: directions, limits, readings."""
     pointing = first.pointing if first.pointing == second.pointing else []
-    axes = [index for index in range(len(names)) if index not in pointing]
+    axes = [index for index in range(len(first)) if index not in pointing]
     axial = [[np.linalg.det(Q) if joint.turns else 1.0] for joint in first.joints]
     directions = axial * first.directions @ Q.T
     signs = np.where((directions * second.directions).sum(axis=1) >= 0.0, 1.0, -1.0)
     chords = lengths(signs[:, None] * directions - second.directions)
     angles = 2.0 * np.arcsin(np.minimum(1.0, chords / 2.0))
     for index in axes:
-        yield Difference(f"orientation of joint {names[index]!r}", float(angles[index]), "rad")
+        name = second.names[index]
+        yield Difference(f"orientation of joint {name!r}", float(angles[index]), "rad")
     if pointing:
         bars = _bars_apart(first, Q, second)
-        yield Difference(f"orientation of joint {names[pointing[0]]!r}", bars, "rad")
+        yield Difference(f"orientation of joint {second.names[pointing[0]]!r}", bars, "rad")
     for index in axes:
         if first.joints[index].limited or second.joints[index].limited:
             yield _limits_apart(first, second, index, signs[index])
     yield from _readings_apart(first, second, signs[first.active])
-
-
-def _leaders(joints: Sequence[Joint]) -> list[int]:
-    """Return the place of the joint that each one follows, which may be itself."""
-    names = [joint.name for joint in joints]
-    return [names.index(joint.leader.joint) for joint in joints]
 
 
 def _bars_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> float | None:
