@@ -25,7 +25,7 @@ LINES = {
     "kinematics": 3_690,
     "model": 3_816,
     "show": 4_685,
-    "symmetry": 1_433,
+    "symmetry": 1_464,
     "words": 875,
     "workspace": 1_649,
 }
