@@ -17,6 +17,8 @@ from differences import assert_derivative
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.calibration.calibrate import prepared
+from pincal.calibration.hypotheses.photos import photo_faults, pitch_faults
 from pincal.estimation.rows import turned_rows, white_rows
 from pincal.formats.arm import arm
 from pincal.instruments.placing import by_hand_eye
@@ -219,6 +221,76 @@ def test_camera_and_board_anywhere(make, points, free) -> None:  # type: ignore[
     assert np.abs(missed).max() < 1e-6
 
 
+DEEP = {name: (x, y, 40.0 * x * y * (x + 0.01)) for name, (x, y, _) in BOARD.items()}
+FAULTS = ["photos-shifted", "photos-turned", "board-mirrored", "boards-exchanged", "camera-moved"]
+
+
+def _spoiled(fault: str) -> tuple[pincal.Measurements, pincal.Setup]:
+    """Return photos, with what is known of them, in which one thing is wrong."""
+    deep = replace(_camera().markers, points=DEEP, name="deep")
+    turned = replace(_camera().markers, at=(-0.1, 0.05, 0.0), name="flat")
+    cameras = [replace(_camera(), markers=deep)]
+    cameras += [replace(_camera(), name="side", markers=turned)] * (fault == "boards-exchanged")
+    truth, data = _measured(*cameras, noise=0.1, count=18)
+    extra, points = {n: v.copy() for n, v in data.extra.items()}, [DEEP, BOARD]
+    if fault == "photos-shifted":
+        extra = {name: np.roll(values, 1) for name, values in extra.items()}
+        for values in extra.values():
+            values[0] = np.nan
+    elif fault == "photos-turned":  # clockwise
+        for name in DEEP:
+            u, v = extra[f"front_{name}_u"], extra[f"front_{name}_v"]
+            extra |= {f"front_{name}_u": 1199 - v, f"front_{name}_v": u}
+    elif fault == "board-mirrored":
+        points = [{name: (-x, y, z) for name, (x, y, z) in DEEP.items()}]
+    elif fault == "boards-exchanged":
+        points = [BOARD, DEEP]
+    elif fault == "camera-moved":
+        poses = pincal.forward(truth, data.readings).poses
+        x, y, z = cameras[0].at
+        moved = _pixels(
+            replace(cameras[0], at=(x + 0.03, y, z)), truth.platform.transforms(poses).as_matrix()
+        )
+        for name in extra:
+            extra[name][11:] = moved[name][11:]
+    elif fault == "board-scale":
+        points = [{name: tuple(np.divide(xyz, 1.016)) for name, xyz in DEEP.items()}]
+    known = [
+        pincal.Camera(c.name, c.lens, pincal.Markers(of_board, c.markers.name))
+        for c, of_board in zip(cameras, points, strict=False)
+    ]
+    return replace(data, extra=extra), pincal.Setup(instruments=tuple(known))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_with_photos_is_named(fault: str) -> None:
+    """One thing is wrong, and that is named; with the row from which a camera stands elsewhere."""
+    data, setup = _spoiled(fault)
+    known = {"setup": setup, "noise": pincal.Noise(0.0, 0.0, 1e-5, pixel=0.1)}
+    if fault == "photos-shifted":
+        with pytest.raises(pincal.MeasurementError, match="photos are 1 row below their"):
+            pincal.calibrate("6UPS", data, **known)
+        return
+    findings = photo_faults(prepared("6UPS", data, **known))
+    assert [remark.code for remark in findings] == [fault]
+    if fault == "camera-moved":
+        assert findings[0].rows == (11,)
+
+
+@pytest.mark.slow
+def test_a_board_of_another_pitch_is_named() -> None:
+    """An inch for 25 mm fits a machine near its drawing; where it is right nothing is named."""
+    data, setup = _spoiled("board-scale")
+    noise = pincal.Noise(0.0, 0.0, 1e-5, pixel=0.1)
+    (pitch,) = pitch_faults(prepared("6UPS", data, setup=setup, noise=noise))
+    assert pitch.code == "board-scale"
+    assert pitch.values["scale"] == pytest.approx(1.016, abs=2e-3)
+    data, setup = _spoiled("nothing")
+    right = prepared("6UPS", data, setup=setup, noise=noise)
+    assert photo_faults(right) == pitch_faults(right) == ()
+
+
 @pytest.mark.parametrize("make", [_camera, _in_hand])
 def test_hand_eye_calibration_finds_what_a_machine_as_drawn_shows(make) -> None:  # type: ignore[no-untyped-def]
     """Without noise held-out photos are predicted to 1e-3 px, as OpenCV finds boards in them.
@@ -355,6 +427,25 @@ def test_command_calibrates_by_a_camera(folder: Path) -> None:
     (camera,) = result.options.setup.instruments
     assert camera == pincal.Setup.from_yaml(folder / "setup.yaml").instruments[0]
     assert result["main.fx"].identified == pytest.approx(1500.0, abs=20.0)  # four of its priors
+
+
+def test_simulated_photos_are_written_as_corners(folder: Path) -> None:
+    """Beside the measurements, with which they are read: pixels of the true machine's poses."""
+    (folder / "corners.csv").unlink()
+    plan = folder / "plan.csv"
+    home = pincal.load_mechanism("6UPS").platform.home
+    lines = [",".join(map(repr, (home + 0.02 * np.eye(6)[i]).tolist())) for i in range(6)]
+    plan.write_text("\n".join(["x [m],y [m],z [m],rx [rad],ry [rad],rz [rad]", *lines]))
+    given = ["--setup", folder / "setup.yaml", "--noise-pixel", "0", "--disturb", "0"]
+    done("simulate", "6UPS", plan, "-o", folder / "simulated.csv", *given)
+    setup = pincal.Setup.from_yaml(folder / "setup.yaml")
+    data = pincal.Measurements.from_csv(folder / "simulated.csv", "6UPS", setup, partial=True)
+    robot = pincal.load_mechanism("6UPS")
+    poses = pincal.forward(robot, data.readings).poses
+    pixels = _pixels(_camera(), robot.platform.transforms(poses).as_matrix())
+    for name, values in pixels.items():
+        np.testing.assert_allclose(data.extra[name], values, atol=1e-3)
+    assert "front" not in (folder / "simulated.csv").read_text()
 
 
 def test_what_a_camera_cannot_see_is_not_planned() -> None:

@@ -24,6 +24,7 @@ from pincal.calibration.findings import (
 )
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance, without_false_points
 from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
+from pincal.calibration.hypotheses.photos import check_photos, pitch_faults
 from pincal.calibration.hypotheses.plausibility import (
     check_contacts,
     check_copies,
@@ -204,6 +205,7 @@ def started(calibration: Calibration) -> Calibration:
     check_copies(calibration.measurements, every_pose=options.every_pose)
     check_contacts(calibration.observation, calibration.measurements)
     check_distances(calibration)
+    check_photos(calibration)
     calibration = _with_terms(calibration)
     if options.loss != "none" and options.setup.pixels:
         calibration = without_false_points(calibration)
@@ -267,6 +269,8 @@ def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding,
     """Return what would explain residuals or changes of parameters that are too large."""
     if not result.explained:
         return explain_misfit(result.calibration, frame)
+    if result.options.setup.pixels:
+        return pitch_faults(result.calibration)
     if not result.converged or not result.options.setup.plain or result.options.tied:
         return ()
     identified = np.concatenate([leg.identified for leg in result.legs])

@@ -11,7 +11,16 @@ import numpy as np
 import typer
 
 import pincal
-from pincal import FileError, Margins, MeasurementError, Mechanism, Noise, Plan, Setup
+from pincal import (
+    FileError,
+    Margins,
+    MeasurementError,
+    Measurements,
+    Mechanism,
+    Noise,
+    Plan,
+    Setup,
+)
 from pincal.cli.app import command, remark, stdout, working, wrote
 from pincal.cli.machine import SimulatedMachine, serve
 from pincal.cli.options import (
@@ -32,6 +41,7 @@ from pincal.design.planning import (
 )
 from pincal.design.simulate import Simulation
 from pincal.files.columns import Columns, columns_of, reading_columns, write_sheet
+from pincal.files.corners import corners_of
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing_of, writing_together
@@ -40,6 +50,7 @@ from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed
 from pincal.model.option import Option, option
+from pincal.model.units import Units
 from pincal.show import explanation, tables
 from pincal.words.numbers import amount, reading_in
 
@@ -188,7 +199,7 @@ class SimulateOptions(TableOptions):
     )
     seed: int = option(0, SEED)
     setup_file: Path | None = option(
-        None, "Points of contact that targets touch in the plan.", name="setup", metavar="YAML"
+        None, "What is touched or seen: contacts, cameras.", name="setup", metavar="YAML"
     )
     truth: Path | None = option(
         None,
@@ -245,19 +256,21 @@ def simulate(
 
     The nominal mechanism commands the poses, the true one moves. A machine with more legs than
     degrees of freedom is placed at the poses themselves. Poses that the true mechanism cannot reach
-    are left out and named. With --serve it is the machine beside which 'pincal measure' works.
+    are left out and named. What cameras of the setup see is written to its corners. With --serve it
+    is the machine beside which 'pincal measure' works.
     """
     if options.serve is None and (plan is None or output is None):
         raise typer.BadParameter("give PLAN.csv and -o MEASUREMENTS.csv, or --serve PORT")
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
     disturbed, measured = map(np.random.default_rng, np.random.SeedSequence(options.seed).spawn(2))
-    outputs: list[tuple[Path, Sequence[str]]] = [] if output is None else [(output, ())]
+    setup = read_setup(options.setup_file or Setup())
+    tables = [] if output is None else [output, *map(Path, filter(None, [setup.corners]))]
+    outputs: list[tuple[Path, Sequence[str]]] = [(path, ()) for path in tables]
     true_mechanism, made = _true_mechanism(mechanism, options, disturbed)
     if made and options.truth is not None:
         outputs = [(options.truth, MECHANISM_FILES), *outputs]
     refuse_existing_of(outputs, force=force)
-    setup = Setup() if options.setup_file is None else read_setup(options.setup_file)
     if plan is None or output is None:
         with writing_together(outputs, force=force) as scratch:
             for folder in scratch:
@@ -273,11 +286,23 @@ def simulate(
         reason = simulation.unreachable[0][1]
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
     with writing_together(outputs, force=force) as scratch:
-        write_table(scratch[-1], columns_of(mechanism, simulation.measurements), units=units)
-        for folder in scratch[:-1]:
+        folders, files = scratch[: -len(tables)], scratch[-len(tables) :]
+        _write_simulated(mechanism, setup, simulation.measurements, files, units)
+        for folder in folders:
             write_mechanism(true_mechanism, folder)
     _say_unreached(planned, simulation)
-    wrote(*(path for path, _ in outputs))
+    wrote(*dict(outputs))
+
+
+def _write_simulated(
+    mechanism: Mechanism, setup: Setup, data: Measurements, paths: Sequence[Path], units: Units
+) -> None:
+    """Write the table of measurements, and that of corners behind it if the setup names one."""
+    if setup.corners is not None:
+        write_table(paths[1], corners_of(setup, data))
+        others = {name: values for name, values in data.extra.items() if name not in setup.pixels}
+        data = replace(data, extra=others)
+    write_table(paths[0], columns_of(mechanism, data), units=units)
 
 
 def _say_unreached(planned: Plan, simulation: Simulation) -> None:

@@ -42,6 +42,7 @@ _CLOSES = 1e-3  # share of a leg's size: a gap that contradicting readings leave
 _TILTED = 1e-3  # tilt [rad] of a platform that is not upright
 _CONTRADICTS = 0.03  # share of the mechanism's size, median over rows: nothing is identified
 _TURNS = 50  # turns of frame and offsets, at most
+_MOST = 100  # evaluations by which what instruments alone see is placed
 _STILL = 1e-6  # share of the poses' extent below which offsets no longer move
 _MISFIT = 0.05  # share of the measured points' extent, up to which a row agrees with most
 _GROSS = 10.0  # times the usual miss from which a row says nothing of frame and target
@@ -126,7 +127,9 @@ def _outside_started(problem: Problem, state: State) -> State:
         return np.concatenate((J, by_prior))
 
     values = np.zeros(by_free.shape[1])
-    how = {"x_scale": "jac", "f_scale": usual}
+    if not np.isfinite(missed(values)).all():  # behind a camera
+        return state
+    how = {"x_scale": "jac", "f_scale": usual, "max_nfev": _MOST}
     for loss in ("linear", "soft_l1") if contacts or seen.setup.pixels else ("linear",):
         values = least_squares(missed, values, slopes, loss=loss, **how).x
     return replace(state, external=outside.moved(external, by_free @ values))

@@ -8,8 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from pincal.errors import MeasurementError
+from pincal.files.columns import Columns
 from pincal.files.table import TextTable, read_table
 from pincal.model.checks import listed
+from pincal.model.measurements import Measurements
 from pincal.model.setup import Setup
 from pincal.types import Array
 
@@ -54,6 +56,25 @@ def read_corners(setup: Setup, table: TextTable, lines: Sequence[int]) -> tuple[
 
     sigmas = by_column("sigma", "sigma") if "sigma" in corners else {}
     return by_column("u", "v"), sigmas
+
+
+def corners_of(setup: Setup, data: Measurements) -> Columns:
+    """Return the table of corners that a setup's cameras saw, as ``read_corners`` reads it.
+
+    Raises:
+        MeasurementError: they saw none.
+    """
+    corners = [
+        (row, device.name, point, *(float(data.extra[column][row]) for column in pair))
+        for device in setup.instruments
+        for point, pair in getattr(device, "marks", {}).items()
+        for row in np.flatnonzero(np.isfinite(data.extra[pair[0]])).tolist()
+    ]
+    if not corners:
+        raise MeasurementError("no camera of the setup sees a point at any pose of the plan")
+    rows, cameras, points, right, down = zip(*sorted(corners), strict=True)
+    named = {"row": tuple(str(row + 1) for row in rows), "camera": cameras, "point": points}
+    return {**named, "u [px]": np.array(right), "v [px]": np.array(down)}
 
 
 def _check_columns(corners: TextTable, needed: Iterable[str]) -> None:

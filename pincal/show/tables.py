@@ -201,10 +201,8 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
             rows.setdefault("calibrated", {})[unit] = shown
     if missed:
         rows |= [_held_out_row(result)]
-        if by_hand_eye := hand_eye_misses(result):
-            rows["held-out photos by hand–eye"] = {
-                u: number(size, u) for u, size in by_hand_eye.items()
-            }
+        by_hand_eye = hand_eye_misses(result).items()
+        rows["held-out photos by hand–eye"] = {u: number(size, u) for u, size in by_hand_eye}
     units = dict.fromkeys([*errors.expected.units, *missed])
     return Table(
         f"RMS error{region}",

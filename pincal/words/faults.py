@@ -12,6 +12,10 @@ from pincal.finding import Finding
 from pincal.words.wording import Wording, filled
 
 _error = partial(Wording, severity="error")
+_BY_PHOTOS = (
+    ": corrected for that, the machine as drawn misses points by {missed|amount('m')} (median), as "
+    "they are by {given|amount('m')}"
+)
 FAULTS: dict[str, Wording] = {
     "readings-still": _error(
         "{% for name, value, unit, moved in readings %}{', ' if not loop.first}{name} reads the "
@@ -59,6 +63,33 @@ FAULTS: dict[str, Wording] = {
         "{% if rows|length > 1 %}, {(rows|length - 1)|counted('more row')} by over 10 times"
         "{% endif %}",
         "Check for a slip there first, or leave such rows out (--loss reject)",
+    ),
+    "photos-shifted": _error(
+        "the photos are {shift|abs|counted('row')} {'above' if shift > 0 else 'below'} their "
+        f"readings{_BY_PHOTOS}",
+        "Correct the rows of corners, or their order: a photo is missing, or one too many",
+    ),
+    "photos-turned": _error(
+        f"the photos are turned by {{turn}}°{_BY_PHOTOS}",
+        "Detect points in photos as the camera took them: some program turned them by their EXIF",
+    ),
+    "board-mirrored": _error(
+        f"board '{{board}}' is a mirror image of what it should be{_BY_PHOTOS}",
+        "Print it again, or mirror x of its points; do not mirror photos",
+    ),
+    "boards-exchanged": _error(
+        f"boards '{{boards[0]}}' and '{{boards[1]}}' are confused{_BY_PHOTOS}",
+        "Exchange them in the setup",
+    ),
+    "camera-moved": _error(
+        f"a camera was moved before data row {{row}}{_BY_PHOTOS}",
+        "Leave out the shorter part, or name the camera anew from there on ('camera' in corners)",
+    ),
+    "board-scale": Wording(
+        "by the machine as drawn board '{board}' is {(100 * scale - 100)|abs|g} % "
+        "{'larger' if scale > 1 else 'smaller'} than said"
+        f"{{' (an inch for 25 mm?)' if (scale - 1.016)|abs < 0.002}}{_BY_PHOTOS}",
+        "Measure its bar and write that into its scale: all lengths follow it",
     ),
     "frame-misaligned": Wording(
         "{(100 * share)|f(0)} % of the nominal model's squared error is one motion of the "

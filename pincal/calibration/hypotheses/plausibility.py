@@ -30,6 +30,7 @@ from pincal.calibration.hypotheses.judging import (
     judge_as_measured,
     other_side,
 )
+from pincal.calibration.hypotheses.photos import photo_faults
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.indices import DIFFER
 from pincal.estimation.observation import Observation
@@ -68,6 +69,8 @@ def explain_misfit(calibration: Calibration, frame: External | None = None) -> t
     By frame and targets as they were estimated, if they were; not by zeros of motors where the
     search started at those that measurements show.
     """
+    if calibration.options.setup.pixels and (faults := photo_faults(calibration)):
+        return faults
     case = case_of(calibration, frame)
     explaining = () if case is None else _faults(case, _slips)
     if calibration.start is None:

@@ -1,0 +1,179 @@
+"""What goes wrong with photos: hypotheses, judged by the machine as it is drawn.
+
+Each puts pixels or boards right and places cameras and boards anew, as a search begins; of what the
+nominal machine then misses, the median is judged. The hypothesis that leaves least explains photos
+if that is half at most of what they miss as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from pincal.calibration.calibration import Calibration
+from pincal.errors import MisfitError, PincalError
+from pincal.finding import Finding
+from pincal.instruments.camera import Camera, Markers
+from pincal.kinematics.forward import forward
+from pincal.types import Array, Index
+from pincal.words.findings import finding, sentence
+
+_EACH = 2.0  # by which what is put right divides the misfit
+_ROWS = 40  # enough to judge by
+_SHIFTS = (1, -1, 2, -2)
+_FEWEST = 4  # photos that place a camera
+_UNSURE = 0.2  # of the pitch of a board, relative, if it may be any
+_FAR = 5e-3  # of the machine's size: by so much no machine as drawn misses points
+_PITCH = 5e-3  # by which a pitch is off that is not as said
+
+Judged = tuple[float, str, dict[str, Any], tuple[int, ...]]
+"""What is missed, median [m], code and values of what would be wrong, and rows."""
+
+
+def photo_faults(calibration: Calibration) -> tuple[Finding, ...]:
+    """Return what would explain that photos do not fit; empty if nothing does."""
+    few = _few(calibration)
+    judged = [(_missed(c)[0], code, values, ()) for code, values, c in _hypotheses(calibration)]
+    return _explaining(_missed(few)[0], [*judged, *_scaled(few), *_moved(calibration)])
+
+
+def check_photos(calibration: Calibration) -> None:
+    """Raise if photos do not fit the nominal machine at all, and something explains that.
+
+    Raises:
+        MisfitError: what does.
+    """
+    far = _FAR * calibration.mechanism.size
+    if calibration.options.setup.pixels and _missed(_few(calibration))[0] > far:
+        for fault in photo_faults(calibration):
+            raise MisfitError(sentence(fault))
+
+
+def pitch_faults(calibration: Calibration) -> tuple[Finding, ...]:
+    """Return that a board has another pitch than said, which else changes all lengths alike."""
+    few = _few(calibration)
+    return _explaining(_missed(few)[0], [*_scaled(few)])
+
+
+def _explaining(given: float, judged: list[Judged]) -> tuple[Finding, ...]:
+    missed, code, values, rows = min(judged, key=lambda case: case[0], default=(np.inf, "", {}, ()))
+    if not missed * _EACH <= given:
+        return ()
+    return (finding(code, rows, given=given, missed=missed, **values),)
+
+
+def _few(calibration: Calibration) -> Calibration:
+    count = len(calibration.measurements)
+    return calibration.rows(np.unique(np.linspace(0, count - 1, min(count, _ROWS)).astype(int)))
+
+
+def _cameras(calibration: Calibration) -> list[Camera]:
+    return [d for d in calibration.options.setup.instruments if isinstance(d, Camera)]
+
+
+def _hypotheses(calibration: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibration]]:
+    """Yield what may be wrong with a few rows put right: order, turns, mirrors, boards confused."""
+    data, few = calibration.measurements, _few(calibration)
+    columns = [column for camera in _cameras(few) for column in camera.columns]
+    for shift in _SHIFTS:
+        moved = {name: np.roll(data.extra[name], shift) for name in columns}
+        for values in moved.values():
+            values[slice(shift) if shift > 0 else slice(shift, None)] = np.nan
+        shifted = replace(data, extra={**data.extra, **moved})
+        yield "photos-shifted", {"shift": shift}, _few(replace(calibration, measurements=shifted))
+    for quarters in (1, 2, 3):
+        yield "photos-turned", {"turn": 90 * quarters}, _turned(few, quarters)
+    yield from _boards(few)
+
+
+def _boards(few: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibration]]:
+    """Yield boards mirrored, and two of them exchanged."""
+    boards = {camera.markers.name: camera.markers for camera in _cameras(few)}
+    for name, board in boards.items():
+        mirrored = {p: xyz and (-xyz[0], *xyz[1:]) for p, xyz in board.points.items()}
+        changed = {name: replace(board, points=mirrored)}
+        yield "board-mirrored", {"board": name}, _with_boards(few, changed)
+    for first, second in combinations(boards.values(), 2):
+        if len(first.points) == len(second.points):
+            points = [[*board.points.values()] for board in (second, first)]
+            changed = {
+                board.name: replace(board, points=dict(zip(board.points, places, strict=True)))
+                for board, places in zip((first, second), points, strict=True)
+            }
+            names = (first.name, second.name)
+            yield "boards-exchanged", {"boards": names}, _with_boards(few, changed)
+
+
+def _turned(few: Calibration, quarters: int) -> Calibration:
+    """Return photos turned back, by so many quarters anticlockwise."""
+    extra = dict(few.measurements.extra)
+    for camera in _cameras(few):
+        width, height = np.array(camera.lens.size) - 1.0
+        for right, down in camera.marks.values():
+            u, v = extra[right], extra[down]
+            ways = ((v, height - u), (width - u, height - v), (width - v, u))
+            extra[right], extra[down] = ways[quarters - 1]
+    return replace(few, measurements=replace(few.measurements, extra=extra))
+
+
+def _scaled(few: Calibration) -> Iterator[Judged]:
+    """Yield that boards have another pitch than said, by what machine and photos say of it."""
+    for name, board in {c.markers.name: c.markers for c in _cameras(few)}.items():
+        if any(point is not None for point in board.points.values()):
+            case = _with_boards(few, {name: replace(board, scale=_UNSURE)})
+            missed, values, _ = _missed(case)
+            scale = values.get(f"{name}.scale", 1.0)
+            if abs(scale - 1.0) > _PITCH:
+                yield missed, "board-scale", {"board": name, "scale": scale}, ()
+
+
+def _moved(calibration: Calibration) -> Iterator[Judged]:
+    """Yield that cameras stand elsewhere from a row on, by where they are in both end thirds."""
+    every, third = np.arange(len(calibration.measurements)), len(calibration.measurements) // 3
+    if third < _FEWEST:
+        return
+    ends = (every[:third], every[-third:])
+    parts = [_missed(calibration, placed_by)[2] for placed_by in ends]
+    before, after = (np.nansum(part, axis=1) for part in parts)
+    sums = np.append(0.0, np.cumsum(before)) + np.append(np.cumsum(after[::-1])[::-1], 0.0)
+    first = int(np.argmin(sums))
+    missed = float(np.nanmedian(np.concatenate((parts[0][:first], parts[1][first:]))))
+    if 0 < first < len(every):
+        yield missed, "camera-moved", {}, (first,)
+
+
+def _missed(
+    calibration: Calibration, rows: Index | None = None
+) -> tuple[float, dict[str, float], Array]:
+    """Return by how much the nominal machine misses points, cameras placed by some rows, [m].
+
+    The median, values of what is unknown of cameras by id, and all of it, shape (N, r).
+    """
+    machine, data = calibration.mechanism, calibration.measurements
+    observation, ids = calibration.observation, calibration.options.setup.device_parameters
+    pixels = np.array([unit == "px" for unit in observation.units])
+    part = calibration if rows is None else calibration.rows(rows)
+    try:
+        external = part.started(part.latent_problem).start(part.unknowns.start).external
+    except (PincalError, np.linalg.LinAlgError):
+        return np.inf, {}, np.full((len(data), int(pixels.sum())), np.inf)
+    poses = forward(machine, data.readings, influences=calibration.influences).poses
+    matrices = machine.platform.matrices(poses)
+    metres = observation.metres_per_pixel(matrices, external)
+    missed = np.abs(observation.residuals(matrices, external)[0]) * metres
+    missed = np.where(observation.measured, np.nan_to_num(missed, nan=np.inf), np.nan)[:, pixels]
+    values = zip(ids, external.instruments.tolist(), strict=True)
+    return float(np.nan_to_num(np.nanmedian(missed), nan=np.inf)), dict(values), missed
+
+
+def _with_boards(calibration: Calibration, boards: dict[str, Markers]) -> Calibration:
+    setup = calibration.options.setup
+    devices = tuple(
+        replace(d, markers=boards.get(d.markers.name, d.markers)) if isinstance(d, Camera) else d
+        for d in setup.instruments
+    )
+    return calibration.with_options(setup=replace(setup, instruments=devices))
