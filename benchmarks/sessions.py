@@ -32,6 +32,7 @@ from pincal.design.platform_error import root_mean_squares, seen_of, sizes
 from pincal.design.simulate import platform_errors
 
 ROOT = Path(__file__).parents[1]
+TABLE = ROOT / "docs" / "tables" / "sessions.csv"
 sys.path.insert(0, str(ROOT / "tests"))
 from arms import loaded  # noqa: E402
 from bench import NOISE, Bench  # noqa: E402
@@ -78,9 +79,9 @@ def held(
         cells = bench.entry(session.columns, row)
         determined = session.error is not None and np.isfinite(session.error.position)
         if not in_order and determined and rng.random() < 1.0 / EVERY:
-            head = rng.choice(session.observed)
+            head = str(rng.choice(session.observed))
             sigma = 0.02 if "mm" in head else float(np.degrees(2e-5))
-            slipped = float(cells[head]) + SLIP * sigma * rng.choice((-1.0, 1.0))
+            slipped = float(cells[head]) + SLIP * sigma * (1 if rng.random() < 0.5 else -1)
             checked = session.add({**cells, head: repr(slipped)}, row)
             counts["slips"] += 1
             counts["caught"] += checked.off
@@ -111,21 +112,14 @@ def held(
     }
 
 
-def table(count: int, names: list[str]) -> list[dict[str, Any]]:
-    """Return a row for each kind of machine."""
-    rows = []
+def measured(count: int, names: list[str]) -> None:
+    """Hold sessions, and bring the rows of their kinds in the table up to date after each."""
     for name, kind in kinds().items():
         if names and name not in names:
             continue
         candidates = pincal.sample_configurations(kind.mechanism, CANDIDATES, 5)
-        plan = pincal.select_configurations(
-            kind.mechanism,
-            candidates,
-            PLANNED,
-            measured=kind.measured,
-            setup=kind.setup,
-            noise=NOISE,
-        ).plan
+        known: dict[str, Any] = {"measured": kind.measured, "setup": kind.setup, "noise": NOISE}
+        plan = pincal.select_configurations(kind.mechanism, candidates, PLANNED, **known).plan
         plan = plan.rows(np.random.default_rng(0).permutation(len(plan)))
         sessions, fixed = [], []
         for seed in range(count):
@@ -135,24 +129,36 @@ def table(count: int, names: list[str]) -> list[dict[str, Any]]:
             with tempfile.TemporaryDirectory() as folder:
                 sessions.append(held(kind, bench, Path(folder) / "a", rng, in_order=False))
                 fixed.append(held(kind, beforehand, Path(folder) / "b", rng, in_order=True))
-            print(name, seed, sessions[-1], fixed[-1]["poses"], flush=True)
-        total = {key: sum(one[key] for one in sessions) for key in sessions[0]}
-        rows.append(
-            {
-                "machine": name,
-                "machines": count,
-                "enough [mm]": 1e3 * kind.accuracy,
-                "reached": total["enough"],
-                "promise kept": total["kept"],
-                "poses (median)": float(np.median([one["poses"] for one in sessions])),
-                "poses of a fixed plan (median)": float(np.median([one["poses"] for one in fixed])),
-                "slips": total["slips"],
-                "caught": total["caught"],
-                "sound rows": total["sound"],
-                "false alarms": total["alarms"],
-            }
-        )
-    return rows
+            print(name, seed, sessions[-1], fixed[-1], flush=True)
+            write(name, kind, sessions, fixed)
+
+
+def write(
+    name: str, kind: Kind, sessions: list[dict[str, Any]], fixed: list[dict[str, Any]]
+) -> None:
+    """Write the row of a kind of machine into the table, in place of what it was."""
+    total = {key: sum(one[key] for one in sessions) for key in sessions[0]}
+    row = {
+        "machine": name,
+        "machines": len(sessions),
+        "enough [mm]": 1e3 * kind.accuracy,
+        "reached": total["enough"],
+        "kept": sum(one["kept"] for one in sessions if one["enough"]),
+        "poses": float(np.median([one["poses"] for one in sessions])),
+        "poses of a fixed plan": float(np.median([one["poses"] for one in fixed])),
+        "slips": total["slips"],
+        "caught": total["caught"],
+        "sound rows": total["sound"],
+        "false alarms": total["alarms"],
+    }
+    rows = {name: row}
+    if TABLE.is_file():
+        with TABLE.open(newline="") as file:
+            rows = {old["machine"]: old for old in csv.DictReader(file)} | rows
+    with TABLE.open("w", newline="") as file:
+        writer = csv.DictWriter(file, row, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows.values())
 
 
 WORKER = """
@@ -202,12 +208,7 @@ def main(arguments: list[str]) -> None:
     if arguments[:1] == ["--kills"]:
         killed(int(arguments[1]))
         return
-    count, names = int(arguments[0]) if arguments else 50, arguments[1:]
-    rows = table(count, names)
-    with (ROOT / "docs" / "tables" / "sessions.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    measured(int(arguments[0]) if arguments else 50, arguments[1:])
 
 
 if __name__ == "__main__":

@@ -317,10 +317,10 @@ class Session:
 
     def _covers(self) -> bool:
         """Return whether the measured region holds the workspace, or the pose that is next."""
-        pose = self.plan.rows(np.array([self.candidates.best(self.measured)[0]]))
-        return self.share >= ENOUGH or (
-            self.result is not None and not self.result.expected_error(pose).outside[0] > 1.0
-        )
+        if self.share >= ENOUGH or self.result is None:
+            return self.result is not None
+        outside = self.result.expected_error(self.plan).outside  # where frames are those of many
+        return bool(outside[self.candidates.best(self.measured)[0]] <= 1.0)
 
     def _promised(self, calibration: Calibration) -> bool:
         """Return whether ``pincal.calibrate`` promises as much of these rows, without priors."""

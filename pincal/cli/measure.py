@@ -182,11 +182,11 @@ def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None
     """Measure one pose after another, until the user leaves, or a source has given enough."""
     if ask is None:
         say(_HELP)
-    chosen, again = None, set[int]()
+    chosen, repeated = None, set[int]()
     while not (ask and session.enough and not session.doubtful):
         row, gain = session.next_pose()
         row = row if chosen is None else chosen
-        line = _decided(session, again) if ask and not sys.stdin.isatty() else ""
+        line = _decided(session, repeated) if ask and not sys.stdin.isatty() else ""
         if not line and session.questioned:
             line = input("u: undo it, k: keep it > ")
         elif not line:
@@ -221,7 +221,7 @@ def _taken(session: Session, line: str, row: int, pattern: str | None) -> int | 
     return None
 
 
-def _decided(session: Session, again: set[int]) -> str:
+def _decided(session: Session, repeated: set[int]) -> str:
     """Return what to do with a row that is off where nobody is there; empty if none is.
 
     A pose is measured once more: what comes twice is no slip.
@@ -231,8 +231,8 @@ def _decided(session: Session, again: set[int]) -> str:
     if not session.questioned:
         return ""
     row = session.measured[-1]
-    line = "k" if row in again else "u"
-    again.add(row)
+    line = "k" if row in repeated else "u"
+    repeated.add(row)
     return line
 
 
