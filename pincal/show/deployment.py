@@ -112,11 +112,8 @@ def deploy(
     if result is not None and not result.converged:
         raise MeasurementError("the fit did not converge, so there is no machine to deploy")
     options = GridOptions(**correction)
-    wanted = (
-        Deployed(as_mechanism(machine))
-        if result is None
-        else Deployed(result.identified, *result.measured_frames)
-    )
+    frames = () if result is None else result.measured_frames
+    wanted = Deployed(as_mechanism(machine) if result is None else result.identified, *frames)
     misses = ("", "")
     if options.grid:
         nominal = wanted.mechanism if result is None else result.nominal
@@ -126,16 +123,8 @@ def deploy(
     prefix = re.sub(r"[^a-z0-9]", "_", mechanism.name.lower())
     prefix = f"machine_{prefix}" if prefix[:1].isdigit() else prefix
     files = {"kinematics.py": python_file(wanted), f"{prefix}.h": c_header(wanted, prefix)}
-    with suppress(MechanismError):  # another machine than it is for
-        files[LINUXCNC] = genhexkins(mechanism)
-    if mechanism.platform.kind == "translational" and not mechanism.by_readings:
-        with suppress(MechanismError):
-            files[LINUXCNC] = deltakins(mechanism, sample_workspace(mechanism, _UNSEEN))
-    source = "the mechanism as drawn"
-    if result is not None:
-        unsure = ", which states no limit of its error: see its report" * (not result.promises)
-        source = f"a calibration{unsure}"
-    files[HOW_TO] = _how_to(wanted, prefix, source, LINUXCNC in files)
+    files |= _linuxcnc(mechanism)
+    files[HOW_TO] = _how_to(wanted, prefix, _source(result), LINUXCNC in files)
     tables = [SHEET]
     if options.grid:
         files[HOW_TO] += _GRID.format(prefix, *misses)
@@ -146,6 +135,24 @@ def deploy(
         write_table(scratch / SHEET, geometry_sheet(mechanism, uncertain))
         if wanted.grid is not None:
             write_table(scratch / CORRECTIONS, grid_columns(mechanism, wanted.grid))
+
+
+def _linuxcnc(mechanism: Mechanism) -> dict[str, str]:
+    """Return the file for LinuxCNC, by its name; none if it has no kinematics of such machines."""
+    with suppress(MechanismError):
+        return {LINUXCNC: genhexkins(mechanism)}
+    with suppress(MechanismError):
+        if mechanism.platform.kind == "translational" and not mechanism.by_readings:
+            return {LINUXCNC: deltakins(mechanism, sample_workspace(mechanism, _UNSEEN))}
+    return {}
+
+
+def _source(result: CalibrationResult | None) -> str:
+    """Return where parameters come from, in words."""
+    if result is None:
+        return "the mechanism as drawn"
+    unsure = ", which states no limit of its error: see its report" * (not result.promises)
+    return f"a calibration{unsure}"
 
 
 def _with_grid(

@@ -150,6 +150,7 @@ def _strut(closure: LegClosure) -> ClosedForm | None:
 
 
 _AHEAD = {"lineardeltakins": 90.0, "rotarydeltakins": -90.0}  # azimuth of joint 0 [deg]
+_NO_DELTA = "no delta that LinuxCNC has kinematics for"
 _ALIKE = 0.05  # of the size: a machine that a delta's kinematics miss by more is none
 
 
@@ -171,6 +172,45 @@ def _delta_joints(kind: str, parameters: Array, positions: Array) -> Array:
         return np.asarray(-np.arctan2(z, ahead) - np.arccos(reach / np.hypot(ahead, z)))
 
 
+def _delta_legs(mechanism: Mechanism) -> tuple[str, list[int], Array, list[float], float]:
+    """Return kinematics of a delta, and legs in the order of its joints, for a fit to begin.
+
+    Senses of the drives, lengths and the azimuth of the first leg; points of the platform are
+    taken off.
+
+    Raises:
+        MechanismError: no delta of three carriages or cranks.
+    """
+    closures = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+    forms = [form for c in closures if (form := closed_form(c)) and c.leg.active == [form.driven]]
+    ways = np.array([form.frame[2, 1] for form in forms if form.frame is not None])
+    if mechanism.platform.kind != "translational" or not len(ways) == len(closures) == 3:
+        raise MechanismError(f"{mechanism.name!r} is {_NO_DELTA}")
+    points = np.array([closure.targets(np.eye(4)[None])[0] for closure in closures])
+    towers = (np.array([form.centre for form in forms]) - points)[:, :2]
+    turns = np.arctan2(towers[:, 1], towers[:, 0])
+    order = np.argsort((turns - turns[0] + 0.1) % (2.0 * np.pi))  # counterclockwise
+    lengths = [float(np.linalg.norm(towers, axis=1).mean()), forms[0].length]
+    if not forms[0].radius:
+        return "lineardeltakins", order.tolist(), np.sign(ways)[order], lengths, turns[0]
+    return (
+        "rotarydeltakins",
+        order.tolist(),
+        -np.sign(ways)[order],
+        [*lengths, forms[0].radius],
+        turns[0],
+    )
+
+
+def _delta_drives(kind: str, unknowns: Array, poses: Array) -> Array:
+    """Return joints less their zeros at poses, (N, 3); unknown are frame (4), zeros (3), lengths."""
+    (x, y, z, turn), zeros, lengths = np.split(unknowns, [4, 7])
+    c, s = np.cos(turn), np.sin(turn)
+    frame = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    shift = np.array([x, y, z * (len(lengths) > 2)])  # along z, zeros of carriages do the same
+    return _delta_joints(kind, lengths, (poses - shift) @ frame) - zeros
+
+
 def deltakins(mechanism: Mechanism, poses: Array) -> str:
     """Return the lines of HAL for LinuxCNC's ``lineardeltakins`` or ``rotarydeltakins``, [mm].
 
@@ -180,65 +220,48 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
     Raises:
         MechanismError: no delta of three carriages or cranks above the platform, z upward.
     """
-    refused = f"{mechanism.name!r} is no delta that LinuxCNC has kinematics for"
-    closures = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
-    forms = [form for c in closures if (form := closed_form(c)) and c.leg.active == [form.driven]]
-    ways = np.array([form.frame[2, 1] for form in forms if form.frame is not None])
-    if mechanism.platform.kind != "translational" or not len(ways) == len(closures) == 3:
-        raise MechanismError(refused)
-    points = np.array([closure.targets(np.eye(4)[None])[0] for closure in closures])
-    towers = np.array([form.centre for form in forms]) - points
-    turns = np.arctan2(towers[:, 1], towers[:, 0])
-    order = np.argsort((turns - turns[0] + 0.1) % (2.0 * np.pi))  # counterclockwise
-    turning = forms[0].radius > 0.0
-    kind = "rotarydeltakins" if turning else "lineardeltakins"
-    sizes = [np.hypot(*towers[:, :2].T).mean(), forms[0].length, forms[0].radius][: 2 + turning]
+    kind, order, signs, sizes, azimuth = _delta_legs(mechanism)
+    legs, turning = [mechanism.legs[place] for place in order], kind == "rotarydeltakins"
     solved = inverse(mechanism, poses).joints
-    drives = [solved[leg.name][:, leg.active[0]] for leg in mechanism.legs]
-    signs = np.sign(-ways if turning else ways)[order]
-    q = signs * np.transpose(drives)[:, order]
+    q = signs * np.transpose([solved[leg.name][:, leg.active[0]] for leg in legs])
+    begin = np.array([0.0, 0.0, 0.0, azimuth - np.radians(_AHEAD[kind]), 0.0, 0.0, 0.0, *sizes])
+    begin[4:7] = np.nan_to_num(_delta_drives(kind, begin, poses) - q).mean(axis=0)
 
-    def joints(unknowns: Array) -> Array:
-        """Return the joints less their zeros; unknown are frame (4), zeros (3), lengths."""
-        (x, y, z, turn), zeros, lengths = np.split(unknowns, [4, 7])
-        c, s = np.cos(turn), np.sin(turn)
-        frame = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        shift = np.array([x, y, z * turning])  # along z, zeros of carriages do the same
-        return _delta_joints(kind, lengths, (poses - shift) @ frame) - zeros
+    def misfit(unknowns: Array) -> Array:
+        return np.nan_to_num(_delta_drives(kind, unknowns, poses) - q).ravel()
 
-    begin = np.array([0.0, 0.0, 0.0, turns[0] - np.radians(_AHEAD[kind]), 0.0, 0.0, 0.0, *sizes])
-    begin[4:7] = np.nan_to_num(joints(begin) - q).mean(axis=0)
-    fitted = least_squares(lambda u: np.nan_to_num(joints(u) - q).ravel(), begin, x_scale="jac").x
-    laws = [sensor_law(closures[leg]) for leg in order]
-    start, slope = (np.array([getattr(law, n)[0] for law in laws]) for n in ("start", "slope"))
+    fitted = least_squares(misfit, begin, x_scale="jac").x
+    laws = [sensor_law(LegClosure(leg, mechanism.platform)) for leg in legs]
+    start, slope = np.array([(law.start[0], law.slope[0]) for law in laws]).T
     readings = np.empty_like(q)
-    readings[:, order] = (signs * joints(fitted) - start) / slope
-    known = np.isfinite(readings).all(axis=1)
-    arrived = forward(mechanism, readings[known], poses[known]).poses
-    missed = np.linalg.norm(arrived - poses[known], axis=1)
-    if not known.all() or not missed.max() < _ALIKE * mechanism.size:
-        raise MechanismError(refused)
+    readings[:, order] = (signs * _delta_drives(kind, fitted, poses) - start) / slope
+    missed = np.array([np.inf])
+    if np.isfinite(readings).all():
+        missed = np.linalg.norm(forward(mechanism, readings, poses).poses - poses, axis=1)
+    if not missed.max() < _ALIKE * mechanism.size:
+        raise MechanismError(f"{mechanism.name!r} is {_NO_DELTA}")
     (x, y, z, turn), zeros, lengths = np.split(fitted, [4, 7])
     values = dict(zip(("R", "L"), lengths, strict=False))
     values |= {f"J{joint}off": -zero for joint, zero in enumerate(zeros)}
     unit, scale = "mm", 1e3
     if turning:
-        foot, (hip, shin, thigh) = float(np.hypot(*points[:, :2].T).mean()), lengths
-        values = {"platformradius": hip + foot, "thighlength": thigh}
-        values |= {"shinlength": shin, "footradius": foot}
+        point = LegClosure(legs[0], mechanism.platform).targets(np.eye(4)[None])[0]
+        foot = float(np.hypot(*point[:2]))
+        values = {"platformradius": lengths[0] + foot, "thighlength": lengths[2]}
+        values |= {"shinlength": lengths[1], "footradius": foot}
         start, unit, scale = start + signs * zeros, "deg", np.degrees(1.0)
     c, s = np.cos(turn), np.sin(turn)
     at = -1e3 * np.array([c * x + s * y, c * y - s * x, z * turning])
-    usual = np.quantile(missed, 0.95)
+    usual, most = 1e3 * np.quantile(missed, 0.95), 1e3 * missed.max()
     lines = [
         f"# {kind} of {mechanism.name} [mm]: INI [KINS] JOINTS = 3, KINEMATICS = {kind}",
-        f"# these parameters are all that {kind} holds: it misses poses by {1e3 * usual:.4f} mm "
-        f"(95 %), {1e3 * missed.max():.4f} mm at most",
+        f"# these parameters are all that {kind} holds: it misses poses by {usual:.4f} mm (95 %), "
+        f"{most:.4f} mm at most",
         *(f"setp {kind}.{name} {1e3 * value:.9f}" for name, value in values.items()),
     ]
-    for joint, leg in enumerate(order):
+    for joint, leg in enumerate(legs):
         zero, rate = signs[joint] * start[joint] * scale, signs[joint] * slope[joint]
-        reading = f"reading of {mechanism.legs[leg].name} [{unit}]"
+        reading = f"reading of {leg.name} [{unit}]"
         lines.append(f"# joint {joint} [{unit}] = {zero:.9f} + {rate:.12f} × {reading}")
     lines.append(
         f"# the machine's base frame as a work offset: G10 L2 P1 X{at[0]:.9f} Y{at[1]:.9f} "
