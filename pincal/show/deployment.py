@@ -121,7 +121,7 @@ def deploy(
     uncertain = None if result is None else _uncertain(result)
     mechanism = wanted.mechanism
     prefix = re.sub(r"[^a-z0-9]", "_", mechanism.name.lower())
-    prefix = f"machine_{prefix}" if prefix[:1].isdigit() else prefix
+    prefix = "machine_" * prefix[:1].isdigit() + prefix
     files = {"kinematics.py": python_file(wanted), f"{prefix}.h": c_header(wanted, prefix)}
     files |= _linuxcnc(mechanism)
     files[HOW_TO] = _how_to(wanted, prefix, _source(result), LINUXCNC in files)

@@ -191,19 +191,14 @@ def _delta_legs(mechanism: Mechanism) -> tuple[str, list[int], Array, list[float
     turns = np.arctan2(towers[:, 1], towers[:, 0])
     order = np.argsort((turns - turns[0] + 0.1) % (2.0 * np.pi))  # counterclockwise
     lengths = [float(np.linalg.norm(towers, axis=1).mean()), forms[0].length]
+    places, upward = order.tolist(), np.sign(ways)[order]
     if not forms[0].radius:
-        return "lineardeltakins", order.tolist(), np.sign(ways)[order], lengths, turns[0]
-    return (
-        "rotarydeltakins",
-        order.tolist(),
-        -np.sign(ways)[order],
-        [*lengths, forms[0].radius],
-        turns[0],
-    )
+        return "lineardeltakins", places, upward, lengths, turns[0]
+    return "rotarydeltakins", places, -upward, [*lengths, forms[0].radius], turns[0]
 
 
 def _delta_drives(kind: str, unknowns: Array, poses: Array) -> Array:
-    """Return joints less their zeros at poses, (N, 3); unknown are frame (4), zeros (3), lengths."""
+    """Return joints less zeros at poses, (N, 3); unknown are frame (4), zeros (3), lengths."""
     (x, y, z, turn), zeros, lengths = np.split(unknowns, [4, 7])
     c, s = np.cos(turn), np.sin(turn)
     frame = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
