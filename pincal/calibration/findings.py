@@ -165,8 +165,8 @@ def lacking(fits: Fits) -> list[Finding]:
 def _followed(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
     """Return what residuals follow, or that what was measured at one pose moved with time."""
     values: dict[str, Any] = {"quantity": worst.quantity, "p_value": p_value}
-    if worst.alike:
-        return finding("rows-alike", correlation=worst.alike, **values)
+    if worst.correlation:
+        return finding("rows-alike", correlation=worst.correlation, **values)
     if worst.term not in ("again", "step"):
         return finding("model-lacks", term=worst.term, **values)
     values |= {"size": worst.size, "unit": fit.problem.quantities[worst.quantity]}

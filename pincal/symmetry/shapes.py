@@ -157,12 +157,12 @@ class StandingLeg:
         unlike = [[a.kind != b.kind for b in self.joints] for a in first.joints]
         order = linear_sum_assignment(far + (1.0 - apart) + 1e6 * np.array(unlike))[1]
         ends = distance_matrix(applied(element.base, first.tips), self.tips)
-        alike = copy(self)
-        alike.joints = [self.joints[index] for index in order]
-        alike.positions, alike.directions = self.positions[order], self.directions[order]
-        alike.points, alike.tips = self.points[order], self.tips[linear_sum_assignment(ends)[1]]
-        alike.active = [order.tolist().index(index) for index in self.active]
-        return alike
+        ordered = copy(self)
+        ordered.joints = [self.joints[index] for index in order]
+        ordered.positions, ordered.directions = self.positions[order], self.directions[order]
+        ordered.points, ordered.tips = self.points[order], self.tips[linear_sum_assignment(ends)[1]]
+        ordered.active = [order.tolist().index(index) for index in self.active]
+        return ordered
 
 
 def differences(first: StandingLeg, element: Element, second: StandingLeg) -> Iterator[Difference]:

@@ -51,7 +51,7 @@ class Score:
     measured again: by how much it moved from the first time to the last."""
     place: str = ""
     """Of a pose that was measured again: its name."""
-    alike: float = 0.0
+    correlation: float = 0.0
     """Of a step, or an order: how what it leaves is correlated from row to row, if it is."""
 
     @property
@@ -106,21 +106,21 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
     chances = residuals.chances([rows for *_, rows in tests])
     results, kinds = [], _of_kinds(fit, errors)
     for (quantity, term, course), chance in zip(tests, chances, strict=True):
-        share = alike = 0.0
+        share = correlation = 0.0
         if chance < FALSE_ALARM:
             share = residuals.amplitudes(course).inside / residuals.chi2
             if term == "order":
                 of_kind = kinds[_kind(fit, quantity)] if quantity in errors else course
-                alike = residuals.alike_after(course, of_kind)
-        results.append(Score(quantity, term, chance, share, alike=alike))
+                correlation = residuals.alike_after(course, of_kind)
+        results.append(Score(quantity, term, chance, share, correlation=correlation))
     for name, error in errors.items():
         row, step = residuals.step(error)
-        alike, size = 0.0, -float(step.values[0])
+        correlation, size = 0.0, -float(step.values[0])
         if step.p_value < FALSE_ALARM:
             after = error * (used >= row)[:, None, None]
-            alike = residuals.alike_after(after, kinds[_kind(fit, name)])
+            correlation = residuals.alike_after(after, kinds[_kind(fit, name)])
         share = step.inside / residuals.chi2
-        results.append(Score(name, "step", step.p_value, share, row, size, alike=alike))
+        results.append(Score(name, "step", step.p_value, share, row, size, correlation=correlation))
         for place, rows in (repeated or {}).items():
             at_place, since = np.isin(used, rows), np.zeros((len(used), 1, 1))
             if at_place.sum() > 1:  # the time about its mean, 1 from first to last
@@ -188,9 +188,9 @@ def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
     """
     block, platform = fit.problem.leg_block, fit.problem.platform
     poses = platform.from_matrices(fit.last.state.matrices[used])
-    alike = np.equal.outer(platform.units, platform.units)
+    same_unit = np.equal.outer(platform.units, platform.units)
     scale = np.ptp(poses, axis=0)
-    varied = scale >= _FLAT * (alike * scale).max(axis=1)  # all of them, if none varies
+    varied = scale >= _FLAT * (same_unit * scale).max(axis=1)  # all of them, if none varies
     x = ((poses - poses.mean(axis=0)) / np.where(scale > 0.0, scale, 1.0))[:, varied]
     i, j = np.triu_indices(x.shape[1])
     pose = np.concatenate((x, x[:, i] * x[:, j]), axis=1)

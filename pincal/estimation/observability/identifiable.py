@@ -219,8 +219,8 @@ def weak_pairs(
     def known(place: int, second: int) -> float:
         """Return the standard error of a parameter if the second is known, frames still unknown."""
         same_leg = names[place][0] == names[second][0]
-        alike = [i for i, parts in enumerate(names) if same_leg and parts[2] == names[second][2]]
-        fixed = [i for i in alike or [second] if finite[i]]
+        twins = [i for i, parts in enumerate(names) if same_leg and parts[2] == names[second][2]]
+        fixed = [i for i in twins or [second] if finite[i]]
         axes, size, _ = np.linalg.svd(directions[fixed] / np.linalg.norm(directions, axis=0))
         unmoved = axes[:, int((size > RANK_TOLERANCE).sum()) :].T  # combinations no frame can move
         across = unmoved @ covariance[fixed]

@@ -177,8 +177,8 @@ def jacobian_near(
     # └ 0  by external      ┘  what is seen    └ B ┘
     pose = np.concatenate((legs.pose / size, seen_pose * per), axis=1)
     parameter = block_diagonal((legs.parameter / size, by_external * per))
-    alike = np.broadcast_to(np.eye(pose.shape[1]), (len(pose), *2 * pose.shape[1:2]))
-    free = white_rows(pose, alike)(parameter)
+    unit_noise = np.broadcast_to(np.eye(pose.shape[1]), (len(pose), *2 * pose.shape[1:2]))
+    free = white_rows(pose, unit_noise)(parameter)
     return legs, unknowns.free_rows(free[np.isfinite(free).all(axis=(1, 2))])
 
 

@@ -189,13 +189,13 @@ class Residuals:
 
         Both are white rows, (n_used, m, f). 0 if that is not clear, or little of what W took.
         """
-        rest, lengths = self.without(W), np.sqrt((errors**2).sum(axis=1))
-        along = np.einsum("nmf,nm->nf", errors, rest.left)
+        remaining, lengths = self.without(W), np.sqrt((errors**2).sum(axis=1))
+        along = np.einsum("nmf,nm->nf", errors, remaining.left)
         along /= np.where(lengths > 0.0, lengths, np.inf)
         lagged = float((along[1:] * along[:-1]).sum())
         correlation = lagged / max(float((along**2).sum()), 1e-300)
         clear = correlation * np.sqrt(along.size) > _ALIKE
-        return correlation if clear and lagged > _MUCH * (self.chi2 - rest.chi2) else 0.0
+        return correlation if clear and lagged > _MUCH * (self.chi2 - remaining.chi2) else 0.0
 
     def _resolved(self, W: Array) -> tuple[Array, Array, Array]:
         """Return combinations C of errors, and what residuals say of them.
@@ -243,8 +243,8 @@ class Residuals:
         chances = []
         for information, along, squares in map(self.projected, errors):
             weights, chance = np.linalg.eigvalsh(information), 1.0
-            seen = weights[-1] > NEGLIGIBLE**2 * squares.sum() > 0.0 and self.chi2 > 0.0
-            if seen and len(weights) < self.degrees_of_freedom:
+            visible = weights[-1] > NEGLIGIBLE**2 * squares.sum() > 0.0 and self.chi2 > 0.0
+            if visible and len(weights) < self.degrees_of_freedom:
                 share = float(along @ along) / weights[-1] / self.chi2
                 relative = weights.clip(0.0) / weights[-1]
                 chance = above(relative, share, self.degrees_of_freedom)

@@ -283,11 +283,11 @@ def _closure(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> tuple[Row, Matri
         if end["frame"] is None:  # the platform is met, in the axes of the base
             met = compose(T, _chain(end["point"], [*q, *bent])[0])
             axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-            back: list[Move] = []
+            returning: list[Move] = []
         else:
-            met, back = _chain(end["frame"], [*q, *bent])
+            met, returning = _chain(end["frame"], [*q, *bent])
             axes = [[met[i], met[4 + i], met[8 + i]] for i in range(3)]
-        columns = _columns(n, moves, back, [tip[3], tip[7], tip[11]])
+        columns = _columns(n, moves, returning, [tip[3], tip[7], tip[11]])
         gap, arm = [tip[i] - met[i] for i in (3, 7, 11)], [met[i] - T[i] for i in (3, 7, 11)]
         turn = rotation_vector(compose(tip, inverted(met))) if max(end["rows"]) > 2 else gap
         for row in end["rows"]:
@@ -300,10 +300,10 @@ def _closure(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> tuple[Row, Matri
     return gaps, by_joints, by_pose
 
 
-def _columns(n: int, moves: list[Move], back: list[Move], place: Row) -> Matrix:
+def _columns(n: int, moves: list[Move], returning: list[Move], place: Row) -> Matrix:
     """Return velocity and spin of a tip, at a place, against a frame, by each of n joints."""
     columns = [[0.0] * 6 for _ in range(n)]
-    for sign, motion in (*((1.0, move) for move in moves), *((-1.0, move) for move in back)):
+    for sign, motion in (*((1.0, move) for move in moves), *((-1.0, move) for move in returning)):
         speed, spin = _twist(motion, place)
         for source, rate in motion.rates:
             if source < n:
@@ -390,8 +390,8 @@ def _formed(leg: dict[str, Any], target: Row) -> tuple[Row, bool]:
     c = (cosine * radial + sine * way_along) / (far or 1.0)
     s = (cosine * way_along - sine * radial) / (far or 1.0)
     drive = _near(atan2(s, c), leg["home"][0])
-    back = [far * cosine - radius, far * sine, height]
-    return [drive, *_angles(form, _times(frame, back), leg["home"][1:])], possible
+    rod = [far * cosine - radius, far * sine, height]
+    return [drive, *_angles(form, _times(frame, rod), leg["home"][1:])], possible
 
 
 def _angles(form: dict[str, Any], vector: Row, home: Row) -> Row:
