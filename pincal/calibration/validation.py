@@ -133,10 +133,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         findings=(worse,) if is_worse else (),
         sigma=sigma,
         targets=tuple(
-            replace(
-                missed(*target, values, misses[target], places),
-                limit=_limit([fold[target] for fold in drawn]),
-            )
+            replace(missed(*target, values, misses[target], places), limit=_limit(drawn, target))
             for target, values in at_fit.items()
             if np.isfinite(misses[target]).any()
         ),
@@ -265,10 +262,12 @@ def _drawn(
     return {target: values.reshape(-1, _DRAWN) for target, values in sizes.items()}
 
 
-def _limit(drawn: Sequence[Array]) -> float:
-    """Return below what the root mean square of misses, of folds (N, draws), is at 95 %."""
-    squares = np.nanmean(np.concatenate(drawn) ** 2, axis=0)
-    return float(np.sqrt(np.quantile(squares, CONFIDENCE)))
+def _limit(drawn: Sequence[Misses], target: tuple[str, str]) -> float:
+    """Return below what the root mean square of a target's misses, of all folds, is at 95 %."""
+    folds = [fold[target] for fold in drawn if target in fold]
+    squares = np.concatenate([np.zeros((0, _DRAWN)), *folds]) ** 2
+    squares = squares[np.isfinite(squares).all(axis=1)]
+    return float(np.sqrt(np.quantile(squares.mean(axis=0), CONFIDENCE))) if len(squares) else np.inf
 
 
 def _strays(
