@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -126,12 +127,15 @@ def add_rows(
         FileError: the table cannot be read or written, or holds rows that are made otherwise.
         PincalError: no scheduler or worker answers, or processes end before a row is made.
     """
+    if not file.path.absolute().parent.is_dir():
+        raise FileError(f"{file.path} cannot be written: its folder does not exist")
     waiting, keys = _without_rows(make_row, items, file), list(file.kinds)[: len(items[0])]
     size = min(max(len(waiting) // _SHARES, 1), _LARGEST)
     while before := len(waiting):
         shares = [waiting[start : start + size] for start in range(0, before, size)]
         try:
-            with _backend(workers.scheduler):
+            with _backend(workers.scheduler), warnings.catch_warnings():
+                warnings.filterwarnings("ignore", ".* tasks which were still being processed")
                 count = -1 if workers.scheduler else workers.workers or -1
                 made = Parallel(count, return_as="generator")
                 for rows in made(delayed(_rows_of)(make_row, keys, share) for share in shares):

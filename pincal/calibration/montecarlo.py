@@ -118,9 +118,10 @@ class MonteCarlo:
         for name, model in (("before", nominal), ("after", result.identified)):
             twists, units = apart(result, self.workspace, model, truth)
             of_poses = sizes(units, twists)
-            row |= zip((f"{name} [m]", f"{name} [rad]"), root_mean_squares(of_poses), strict=True)
-        worst = np.nanmax(of_poses, axis=0).tolist()
-        return row | dict(zip(("worst [m]", "worst [rad]"), worst, strict=True))
+            parts = zip(("m", "rad"), root_mean_squares(of_poses), of_poses.T, strict=True)
+            for unit, size, column in ((unit, *part) for unit, *part in parts if unit in units):
+                row |= {f"{name} [{unit}]": size, f"worst [{unit}]": float(np.nanmax(column))}
+        return row
 
     @property
     def known(self) -> Array:

@@ -41,7 +41,7 @@ def montecarlo_lines(study: MonteCarlo) -> list[str | Table]:
     rows: list[list[Value]] = []
     for head, errors in study.columns.items():
         key, _, unit = head.removesuffix("]").partition(" [")
-        if key in _HEADS:
+        if key in _HEADS and not np.isnan(errors[fine]).any():
             sizes = np.quantile(errors[fine], [*_QUANTILES.values()]).tolist()
             rows.append([_HEADS[key], *(Cell(size, amount(size, unit)) for size in sizes)])
     title = f"Errors of the platform of {fine.sum()} machines, each over the workspace (RMS)"
