@@ -13,7 +13,7 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 211,
+    "": 261,
     "architectures": 640,
     "calibration": 7_264,
     "cli": 3_008,
@@ -26,7 +26,7 @@ LINES = {
     "model": 3_816,
     "show": 4_690,
     "symmetry": 1_464,
-    "words": 906,
+    "words": 1_018,
     "workspace": 1_649,
 }
 """Most lines of each room; a room that is not listed may have none."""

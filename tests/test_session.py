@@ -211,7 +211,7 @@ def test_simulated_machine_answers_a_session(
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     mechanism = pincal.load_mechanism("5R")
     truth = pincal.disturb(mechanism, seed=3)
-    machine = SimulatedMachine(mechanism, truth, NOISE, pincal.Setup(), pincal.model.units.SI)
+    machine = SimulatedMachine(mechanism, truth, NOISE, pincal.Setup(), pincal.words.units.SI)
     machine.rng, machine.slips = np.random.default_rng(1), 0.15
     assert json.loads(machine.answer('{"leg_1 [deg]": 0}'))["trouble"].startswith("no set point of")
     ports: list[str] = []

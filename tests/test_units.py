@@ -15,8 +15,8 @@ from measured import machine
 import pincal
 from pincal.files.measurements import read_measurements, read_readings
 from pincal.files.table import read_table
-from pincal.model.units import UNITS, Units
 from pincal.words.numbers import SMALL, reading_in, shown_in
+from pincal.words.units import UNITS, Units
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
 COUNTS = 4096 / (2 * np.pi)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from pincal.calibration.options import Progress
 from pincal.errors import FileError, PincalError
-from pincal.model.option import option
+from pincal.option import option
 
 Item = tuple[Any, ...]
 Row = dict[str, Any]

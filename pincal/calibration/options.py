@@ -15,11 +15,11 @@ from pincal.files.text import in_si, plain_number
 from pincal.model.checks import counted, must_be
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
 from pincal.model.parameter import Parameter, means
 from pincal.model.setup import Setup, Systematic
-from pincal.model.units import UNITS
+from pincal.option import option
 from pincal.types import Array, Index
+from pincal.words.units import UNITS
 
 By = Literal["region", "turn", "run"]
 FOLDS = 5

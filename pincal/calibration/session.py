@@ -49,11 +49,11 @@ from pincal.kinematics.forward import forward
 from pincal.model.checks import LARGEST
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
 from pincal.model.setup import Setup
-from pincal.model.units import SI, Units
+from pincal.option import option
 from pincal.types import Array
 from pincal.words.findings import finding
+from pincal.words.units import SI, Units
 
 PLANNED = "planned_"
 """What heads columns of the sheet that say what to drive to."""

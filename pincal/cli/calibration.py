@@ -26,9 +26,9 @@ from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.pairs import with_pairs
 from pincal.files.table import TextTable, write_table
-from pincal.model.option import option, option_of
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.relations import ORIGIN
+from pincal.option import option, option_of
 from pincal.show import answers, tables
 from pincal.show.explanation import advice, explanation_lines, remedy_table, tried
 from pincal.show.report import report

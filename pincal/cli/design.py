@@ -49,10 +49,10 @@ from pincal.files.table import write_table
 from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed
-from pincal.model.option import Option, option
-from pincal.model.units import Units
+from pincal.option import Option, option
 from pincal.show import explanation, tables
 from pincal.words.numbers import amount, reading_in
+from pincal.words.units import Units
 
 _FORECAST = 50  # poses, where no plan is given
 

@@ -31,7 +31,7 @@ from pincal.formats.corrections import CORRECTION, correction_columns
 from pincal.formats.delta_printer import delta_printer
 from pincal.kinematics.influences import own_influences
 from pincal.model.checks import counted
-from pincal.model.option import option
+from pincal.option import option
 from pincal.words.numbers import amount, listed, reading_in
 from pincal.workspace.sampling import grid_poses, has_grid
 

@@ -16,7 +16,7 @@ import numpy as np
 from pincal import MeasurementError, Mechanism, Noise, PincalError, Plan, Setup, forward, simulate
 from pincal.cli.app import say
 from pincal.files.columns import columns_of
-from pincal.model.units import UNITS, Units
+from pincal.words.units import UNITS, Units
 
 _SLIP = 10.0  # standard deviations
 

@@ -21,7 +21,7 @@ from pincal.cli.calibration import InputOptions
 from pincal.cli.options import Force, Mech, PlanOptions, TableOptions, offered, output_option
 from pincal.design.planning import with_reading_noise
 from pincal.files.measurements import read_poses
-from pincal.model.option import Option, option
+from pincal.option import Option, option
 from pincal.show.history import HistoryPage
 from pincal.show.many import batch_lines, montecarlo_lines, row_kinds, row_of_result
 from pincal.words.numbers import reading_in

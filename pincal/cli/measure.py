@@ -25,7 +25,7 @@ from pincal.design.planning import sampled, with_reading_noise
 from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
 from pincal.files.table import write_table
-from pincal.model.option import option
+from pincal.option import option
 from pincal.show.measuring import obeyed, parameters, progress, responding, set_points
 from pincal.show.view.view import PageServer
 from pincal.words.numbers import percent

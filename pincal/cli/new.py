@@ -22,10 +22,10 @@ from pincal.files.columns import columns_of, write_sheet
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
-from pincal.model.option import Option, option
-from pincal.model.units import WRITTEN
+from pincal.option import Option, option
 from pincal.show.tables import selection_table
 from pincal.words.numbers import amount
+from pincal.words.units import WRITTEN
 from pincal.workspace.criteria import in_workspace
 
 #: Files in the folder beside the mechanism, and what they are.

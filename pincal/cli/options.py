@@ -14,8 +14,8 @@ import typer
 from pincal import MeasurementError, Mechanism, PincalError, Setup, Target
 from pincal.files.text import in_si
 from pincal.instruments.setup_file import read_setup
-from pincal.model.option import Option, option, option_of
-from pincal.model.units import Units
+from pincal.option import Option, option, option_of
+from pincal.words.units import Units
 
 FORCE = Option("Replace the output if it exists.")
 SEED = Option("Seed of all random choices.", least=0)

@@ -20,7 +20,7 @@ from pincal.files.table import read_table, write_table
 from pincal.instruments.board import SHARE, Board, BoardKind, read_board
 from pincal.instruments.detect import PhotoPoints, checked, points_in
 from pincal.model.checks import counted, listed
-from pincal.model.option import option
+from pincal.option import option
 from pincal.show.pictures.board import board_figure, contact_sheet
 from pincal.show.pictures.files import figure_bytes, picture_path
 

@@ -23,7 +23,7 @@ from pincal.files.mechanism_folders import is_folder
 from pincal.files.output import refuse_existing
 from pincal.files.table import read_table
 from pincal.model.checks import listed
-from pincal.model.option import option
+from pincal.option import option
 from pincal.show.charts import Plots
 from pincal.show.pictures.files import drawing, picture_path, save_figure
 from pincal.show.style import PAGE_WIDTH

@@ -16,11 +16,11 @@ from pincal.cli.options import FORCE, SEED, Mech, output_option, refuse_options
 from pincal.files.columns import columns_of
 from pincal.files.output import refuse_existing_of, writing_together
 from pincal.files.table import write_table
-from pincal.model.option import option
-from pincal.model.units import WRITTEN
+from pincal.option import option
 from pincal.show.pictures.files import picture_path, save_figure
 from pincal.show.tables import workspace_table
 from pincal.show.workspaces import workspace_figure
+from pincal.words.units import WRITTEN
 from pincal.workspace.axes import Axis
 from pincal.workspace.criteria import refuse_readings
 from pincal.workspace.grid import POSITION_AXES, closer_grid, default_grid

@@ -24,8 +24,8 @@ from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
 from pincal.model.setup import Setup
+from pincal.option import option
 from pincal.words.numbers import amount
 from pincal.workspace.criteria import Margins, in_workspace
 from pincal.workspace.limits import Limits, moving_points

@@ -23,8 +23,8 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.orientation import columns_of as angles_of
 from pincal.model.setup import Setup
-from pincal.model.units import COUNTS, SI, UNITS, Units
 from pincal.types import Array
+from pincal.words.units import COUNTS, SI, UNITS, Units
 from pincal.words.wording import NAMED
 
 Columns = dict[str, Array | tuple[str, ...]]

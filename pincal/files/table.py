@@ -23,8 +23,8 @@ from pincal.files.book import MOST_COLUMNS, sheet_rows, write_book
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, plain_number, read_text, why_no_number
 from pincal.model.checks import LARGEST, must_be
-from pincal.model.units import COUNTS, SCALE, SI, UNITS, Units
 from pincal.types import Array
+from pincal.words.units import COUNTS, SCALE, SI, UNITS, Units
 
 _log = logging.getLogger(__name__)
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")

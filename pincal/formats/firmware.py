@@ -33,8 +33,8 @@ from pincal.formats.delta_printer import ANGLES, DeltaPrinter
 from pincal.model.checks import LARGEST
 from pincal.model.measurements import Measurements
 from pincal.model.relations import ROW, TO
-from pincal.model.units import UNITS
 from pincal.types import Array
+from pincal.words.units import UNITS
 
 _MM = UNITS["mm"][1]
 _SAVED = "#*# "  # begins the lines of SAVE_CONFIG

@@ -13,9 +13,9 @@ from pincal.attached import attached
 from pincal.errors import MeasurementError
 from pincal.model.checks import LARGEST, array_of, counted, must_be, names_of, number_of, one_line
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
 from pincal.model.relations import ROW, TO
 from pincal.model.setup import Setup
+from pincal.option import option
 from pincal.types import Array, Index, Mask
 
 EVERY_LEG = "all"

@@ -19,10 +19,10 @@ from pincal.model.checks import check_sizes, listed, must_be, one_line, set_poin
 from pincal.model.consistency import RESERVED
 from pincal.model.instrument import Instrument, Tracker, fault_of
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
 from pincal.model.parameter import Parameter
 from pincal.model.platform import Platform
 from pincal.model.relations import ORIGIN, ROW, TO, Contact, Distance, Relation
+from pincal.option import option
 from pincal.types import Array, Point
 
 STEEL = 11.5e-6

@@ -29,8 +29,8 @@ from pincal.formats.deployed.tables import Deployed
 from pincal.kinematics.configurations import inverse
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option, option_of
 from pincal.model.setup import Setup
+from pincal.option import option, option_of
 from pincal.types import Array
 from pincal.words.numbers import amount
 from pincal.workspace.limits import Limits

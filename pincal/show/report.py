@@ -26,7 +26,6 @@ from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.units import SI, Units
 from pincal.show import answers, tables
 from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.pictures.files import page_figure
@@ -34,6 +33,7 @@ from pincal.show.pictures.picture import picture
 from pincal.show.view.scene import MOST_POSES
 from pincal.words.numbers import capital, reading_in
 from pincal.words.table import Table
+from pincal.words.units import SI, Units
 from pincal.words.wording import rendered
 
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from math import floor, isfinite, log10
 
-from pincal.model.units import UNITS
+from pincal.words.units import UNITS
 
 _CHOSEN_UNITS: ContextVar[Mapping[str, str]] = ContextVar("units asked for")  # by SI unit
 

@@ -15,9 +15,9 @@ from pincal.errors import WorkspaceError
 from pincal.model.checks import ALIKE
 from pincal.model.orientation import WAYS, rotation_of
 from pincal.model.platform import Platform
-from pincal.model.units import UNITS
 from pincal.symmetry.elements import SAME, Element
 from pincal.types import Array
+from pincal.words.units import UNITS
 
 _AXIS = re.compile(r"^\s*(\w+)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*=\s*(.+?)\s*$")
 

@@ -31,8 +31,8 @@ from pincal.kinematics.tensions import can_hold
 from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.consistency import home_gap
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
 from pincal.model.platform import Poses
+from pincal.option import option
 from pincal.types import Array, Mask
 
 _FAR = 0.23  # from type-1 singularities

@@ -22,8 +22,8 @@ from pincal.files.text import in_si
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
 from pincal.model.setup import Setup
+from pincal.option import option
 from pincal.types import Array, Mask
 
 _SPACE = dict.fromkeys("xyz", "m")

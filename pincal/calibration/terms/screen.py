@@ -27,8 +27,8 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.observability.residuals import Amplitudes, Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.estimation.unknowns import State
-from pincal.model.units import UNITS
 from pincal.types import Array, Index
+from pincal.words.units import UNITS
 
 _PERIODS = (2, 250)  # in the travel of a reading that are searched for
 _FINE = 3  # rates that are tried in the width of a peak
