@@ -21,7 +21,7 @@ LINES = {
     "estimation": 5_053,
     "files": 3_424,
     "formats": 3_824,
-    "instruments": 1_581,
+    "instruments": 1_586,
     "kinematics": 3_690,
     "model": 3_816,
     "show": 4_690,

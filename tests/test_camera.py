@@ -21,6 +21,7 @@ from pincal.calibration.calibrate import prepared
 from pincal.calibration.hypotheses.photos import photo_faults, pitch_faults
 from pincal.estimation.rows import turned_rows, white_rows
 from pincal.formats.arm import arm
+from pincal.instruments.board import Board
 from pincal.instruments.placing import by_hand_eye
 
 Array = np.ndarray
@@ -398,6 +399,20 @@ def test_corners_are_read_beside_the_measurements(folder: Path) -> None:
     (camera,) = setup.instruments
     assert camera == replace(_camera(), lens=camera.lens, markers=camera.markers)
     assert camera.priors == {"main.fx": 5.0, "main.fy": 5.0}
+
+
+def test_loose_markers_have_no_places(folder: Path) -> None:
+    """Their corners are points to be identified; those of a board are where it was printed."""
+    for kind, known in (("markers", False), ("aruco", True)):
+        board = Board("tags", kind, (2, 2), 0.05)
+        (folder / "tags.yaml").write_text(board.yaml())
+        text = (folder / "setup.yaml").read_text()
+        begin, end = text.index("boards:"), text.index("lenses:")
+        setup = folder / f"{kind}.yaml"
+        setup.write_text(f"{text[:begin]}boards: {{board: tags.yaml}}\n{text[end:]}")
+        (camera,) = pincal.Setup.from_yaml(setup).instruments
+        assert [*camera.markers.points] == [*board.points]
+        assert all((place is not None) == known for place in camera.markers.points.values())
 
 
 @pytest.mark.parametrize(

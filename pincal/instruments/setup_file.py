@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pincal.errors import MeasurementError, located
 from pincal.files.yaml import Entry, Readers, Vector, read_yaml
@@ -62,19 +62,24 @@ def _contact(entry: Entry) -> Contact:
 def _board(entry: Entry, name: str, folder: Path) -> Markers:
     """Return markers by their points, or by the file of a printed board."""
     if isinstance(entry.value, str):
-        board = read_board(folder / entry.text())
-        return Markers(board.points, name, scale=board.scale_sigma, normal=(0.0, 0.0, 1.0))
+        return Markers(name=name, **_printed(folder / entry.text()))
     place = dict.fromkeys(("at", "rotation", "normal"), Entry.vector)
     numbers = dict.fromkeys(("tolerance", "scale"), Entry.number)
     readers: Readers = {"points": _points, "file": Entry.text, "known": Entry.flag}
     values = entry.values({**readers, **place, **numbers})
     if "file" in values:
-        board = read_board(folder / values.pop("file"))
-        printed = {"points": board.points, "scale": board.scale_sigma, "normal": (0.0, 0.0, 1.0)}
-        values = printed | values
+        values = _printed(folder / values.pop("file")) | values
     elif "points" not in values:
         entry.refuse("points by name, or the file of a board is expected")
     return Markers(name=name, **values)
+
+
+def _printed(path: Path) -> dict[str, Any]:
+    """Return fields of the markers of a printed board; where loose ones are is unknown."""
+    board = read_board(path)
+    if board.kind == "markers":
+        return {"points": dict.fromkeys(board.points)}
+    return {"points": board.points, "scale": board.scale_sigma, "normal": (0.0, 0.0, 1.0)}
 
 
 def _lens(entry: Entry, name: str) -> Lens:
