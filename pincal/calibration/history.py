@@ -36,14 +36,12 @@ _DATE = re.compile(r"(\d{4})-?(\d\d)(?:-?(\d\d))?")
 
 
 class Change(NamedTuple):
-    """What a parameter changed by between two calibrations."""
+    """A parameter, later less earlier, SI, and ids of those that would explain as much."""
 
     parameter: Parameter
     value: float
-    """Later less earlier, SI."""
     std: float
     alternatives: tuple[str, ...]
-    """Ids of parameters whose change would explain as much."""
 
 
 @dataclass(frozen=True)

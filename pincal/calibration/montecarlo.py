@@ -33,16 +33,13 @@ _POSES = 200  # of the workspace, over which errors are
 
 
 class Cost(NamedTuple):
-    """What a tolerance does to the platform: that of all parameters of a name."""
+    """A tolerance of all parameters of a name: σ, and its shares of the mean square error."""
 
     name: str
     unit: str
     sigma: float
-    """Root mean square of their standard deviations."""
     before: float
-    """Share of the mean square error before the calibration, to first order."""
     after: float
-    """Share of what is left after it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -63,7 +63,6 @@ def montecarlo_(
     mechanism = load_mechanism(mech)
     setup = drawn.read_setup()
     options = replace(options, setup=setup, priors=options.priors_of(mechanism.parameters))
-    measured = None if drawn.measure is None else drawn.measured(mechanism, setup)
     with working("calibrating machines") as progress:
         study = montecarlo(
             mechanism,
@@ -75,7 +74,7 @@ def montecarlo_(
             noise=with_reading_noise(noise, mechanism),
             options=replace(options, progress=progress),
             workspace=drawn.workspace,
-            measured=measured,
+            measured=None if drawn.measure is None else drawn.measured(mechanism, setup),
             seed=drawn.seed,
         )
     with reading_in(drawn.written_in(mechanism).printed):
@@ -141,8 +140,8 @@ def batch(
     if running.results is not None:
         running.results.mkdir(parents=True, exist_ok=True)
     make_row = partial(_row, mech, folder, options, known, running)
+    file = RowFile(output, row_kinds(mechanism))
     with working("calibrating machines") as progress:
-        file = RowFile(output, row_kinds(mechanism))
         columns = add_rows(make_row, items, file, running, progress)
     with reading_in(known.written_in(mechanism).printed):
         for line in batch_lines(columns, mechanism):
