@@ -462,7 +462,7 @@ def test_the_limit_holds_in_95_of_100_calibrations(planar: Any) -> None:
     assert (np.abs(below - 0.95) < 0.055).all()  # 3.5 standard deviations
     assert (np.array(found.inside.limit) > found.mean_after()).all()
     text = page_of(report).get_element_by_id("answers").text_content()
-    assert f"(95 %: ≤ {1e3 * report.errors.inside.limit[0]:.3g})" in text
+    assert f"(95 %: ≤\xa0{1e3 * report.errors.inside.limit[0]:.3g})" in text
     assert "with 95 % confidence" in text
 
 
