@@ -165,6 +165,7 @@ class Session:
         self.checked: Checked | None = None
         self.doubtful: tuple[int, float] | None = None
         self._fits: Fits | None = None
+        self._outermost: int | None = None
         if count := len(self.journal.rows):
             calibration = self._read()
             if count > 1:
@@ -194,6 +195,8 @@ class Session:
         reserved = fresh[self.plan.verifying[fresh]]
         if self.enough and len(reserved):
             return int(reserved[0]), 0.0
+        if self._outermost is not None:
+            return self._outermost, 0.0
         ordered = fresh[self.candidates.offered[fresh]]
         if self.options.in_order and len(ordered):
             return int(ordered[0]), 0.0
@@ -309,6 +312,7 @@ class Session:
             self._fits, self.doubtful = fits, _doubtful(fits)
         except (PincalError, np.linalg.LinAlgError) as error:
             self.why = str(error)
+        self._outermost = None
         self.enough = self._within(self.error) and self._covers() and self._promised(calibration)
 
     def _within(self, error: PlatformError | None) -> bool:
@@ -316,11 +320,16 @@ class Session:
         return error is not None and accuracy is not None and error.limit[0] <= accuracy
 
     def _covers(self) -> bool:
-        """Return whether the measured region holds the workspace, or the pose that is next."""
+        """Return whether the measured region holds the workspace, or all poses of the plan.
+
+        Else the pose that lies farthest outside is next.
+        """
         if self.share >= ENOUGH or self.result is None:
             return self.result is not None
-        outside = self.result.expected_error(self.plan).outside  # where frames are those of many
-        return bool(outside[self.candidates.best(self.measured)[0]] <= 1.0)
+        outside = np.nan_to_num(self.result.expected_error(self.plan).outside)
+        outside[self.measured] = outside[~self.candidates.offered] = 0.0
+        self._outermost = int(outside.argmax()) if outside.max() > 1.0 else None
+        return self._outermost is None
 
     def _promised(self, calibration: Calibration) -> bool:
         """Return whether ``pincal.calibrate`` promises as much of these rows, without priors."""
