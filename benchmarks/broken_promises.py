@@ -1,6 +1,7 @@
 """Promises kept, withdrawn and broken where something is wrong: ten errors of three machines.
 
-    python benchmarks/broken_promises.py [--sets 20] [--only 3RRR …] [--middle] [--write]
+    python benchmarks/broken_promises.py [--sets 20] [--only 3RRR …] [--errors nothing …]
+        [--middle] [--write]
 
 Closed forms of 5R, 3-RRR and 6-UPS in NumPy make the data and say how far the platform is off
 (tests/cramer_rao.py): 60 poses, noise of 20 µm, 50 µrad, readings 20 µrad or 20 µm, which is given,
@@ -138,6 +139,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", type=int, default=20)
     parser.add_argument("--only", nargs="*", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--errors", nargs="*", choices=ERRORS, default=list(ERRORS))
     parser.add_argument("--middle", action="store_true")
     parser.add_argument("--write", action="store_true", help="into docs/accuracy.md")
     given = parser.parse_args()
@@ -148,7 +150,7 @@ def main() -> None:
         away = np.linalg.norm(one.positions - np.median(one.positions, axis=0), axis=1)
         rows = np.sort(np.argsort(away)[:60])
         one = replace(one, positions=one.positions[rows], rotations=one.rotations[rows])
-        for name in ERRORS:
+        for name in given.errors:
             lines.append(line(one, name, given.sets))
             print(lines[-1], flush=True)
     if given.write:
