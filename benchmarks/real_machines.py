@@ -30,7 +30,7 @@ from pincal.design.platform_error import root_mean_squares
 
 Set = tuple[pincal.Mechanism, pincal.Measurements, pincal.Setup]
 PAYLOAD = pincal.Load(10.0, (0.0, 0.0, 0.1))
-LEAST_SQUARES = pincal.Noise(5e-4, 5e-3, 0.0)
+LEAST_SQUARES = pincal.Noise(5e-5, 5e-4, 0.0)
 FRAME = pincal.Setup(unknown_frame=True)
 
 
