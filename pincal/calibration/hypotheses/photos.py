@@ -22,7 +22,7 @@ from pincal.kinematics.forward import forward
 from pincal.types import Array, Index
 from pincal.words.findings import finding, sentence
 
-_EACH = 2.0  # by which what is put right divides the misfit
+_RATIO = 2.0  # by which what is put right divides the misfit
 _ROWS = 40  # enough to judge by
 _SHIFTS = (1, -1, 2, -2)
 _FEWEST = 4  # photos that place a camera
@@ -36,9 +36,9 @@ Judged = tuple[float, str, dict[str, Any], tuple[int, ...]]
 
 def photo_faults(calibration: Calibration) -> tuple[Finding, ...]:
     """Return what would explain that photos do not fit; empty if nothing does."""
-    few = _few(calibration)
+    sample = _sample(calibration)
     judged = [(_missed(c)[0], code, values, ()) for code, values, c in _hypotheses(calibration)]
-    return _explaining(_missed(few)[0], [*judged, *_scaled(few), *_moved(calibration)])
+    return _explaining(_missed(sample)[0], [*judged, *_scaled(sample), *_moved(calibration)])
 
 
 def check_photos(calibration: Calibration) -> None:
@@ -48,25 +48,25 @@ def check_photos(calibration: Calibration) -> None:
         MisfitError: what does.
     """
     far = _FAR * calibration.mechanism.size
-    if calibration.options.setup.pixels and _missed(_few(calibration))[0] > far:
+    if calibration.options.setup.pixels and _missed(_sample(calibration))[0] > far:
         for fault in photo_faults(calibration):
             raise MisfitError(sentence(fault))
 
 
 def pitch_faults(calibration: Calibration) -> tuple[Finding, ...]:
     """Return that a board has another pitch than said, which else changes all lengths alike."""
-    few = _few(calibration)
-    return _explaining(_missed(few)[0], [*_scaled(few)])
+    sample = _sample(calibration)
+    return _explaining(_missed(sample)[0], [*_scaled(sample)])
 
 
 def _explaining(given: float, judged: list[Judged]) -> tuple[Finding, ...]:
     missed, code, values, rows = min(judged, key=lambda case: case[0], default=(np.inf, "", {}, ()))
-    if not missed * _EACH <= given:
+    if not missed * _RATIO <= given:
         return ()
     return (finding(code, rows, given=given, missed=missed, **values),)
 
 
-def _few(calibration: Calibration) -> Calibration:
+def _sample(calibration: Calibration) -> Calibration:
     count = len(calibration.measurements)
     return calibration.rows(np.unique(np.linspace(0, count - 1, min(count, _ROWS)).astype(int)))
 
@@ -77,26 +77,30 @@ def _cameras(calibration: Calibration) -> list[Camera]:
 
 def _hypotheses(calibration: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibration]]:
     """Yield what may be wrong with a few rows put right: order, turns, mirrors, boards confused."""
-    data, few = calibration.measurements, _few(calibration)
-    columns = [column for camera in _cameras(few) for column in camera.columns]
+    data, sample = calibration.measurements, _sample(calibration)
+    columns = [column for camera in _cameras(sample) for column in camera.columns]
     for shift in _SHIFTS:
         moved = {name: np.roll(data.extra[name], shift) for name in columns}
         for values in moved.values():
             values[slice(shift) if shift > 0 else slice(shift, None)] = np.nan
         shifted = replace(data, extra={**data.extra, **moved})
-        yield "photos-shifted", {"shift": shift}, _few(replace(calibration, measurements=shifted))
+        yield (
+            "photos-shifted",
+            {"shift": shift},
+            _sample(replace(calibration, measurements=shifted)),
+        )
     for quarters in (1, 2, 3):
-        yield "photos-turned", {"turn": 90 * quarters}, _turned(few, quarters)
-    yield from _boards(few)
+        yield "photos-turned", {"turn": 90 * quarters}, _turned(sample, quarters)
+    yield from _boards(sample)
 
 
-def _boards(few: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibration]]:
+def _boards(sample: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibration]]:
     """Yield boards mirrored, and two of them exchanged."""
-    boards = {camera.markers.name: camera.markers for camera in _cameras(few)}
+    boards = {camera.markers.name: camera.markers for camera in _cameras(sample)}
     for name, board in boards.items():
         mirrored = {p: xyz and (-xyz[0], *xyz[1:]) for p, xyz in board.points.items()}
         changed = {name: replace(board, points=mirrored)}
-        yield "board-mirrored", {"board": name}, _with_boards(few, changed)
+        yield "board-mirrored", {"board": name}, _with_boards(sample, changed)
     for first, second in combinations(boards.values(), 2):
         if len(first.points) == len(second.points):
             points = [[*board.points.values()] for board in (second, first)]
@@ -105,26 +109,26 @@ def _boards(few: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibration
                 for board, places in zip((first, second), points, strict=True)
             }
             names = (first.name, second.name)
-            yield "boards-exchanged", {"boards": names}, _with_boards(few, changed)
+            yield "boards-exchanged", {"boards": names}, _with_boards(sample, changed)
 
 
-def _turned(few: Calibration, quarters: int) -> Calibration:
+def _turned(sample: Calibration, quarters: int) -> Calibration:
     """Return photos turned back, by so many quarters anticlockwise."""
-    extra = dict(few.measurements.extra)
-    for camera in _cameras(few):
+    extra = dict(sample.measurements.extra)
+    for camera in _cameras(sample):
         width, height = np.array(camera.lens.size) - 1.0
         for right, down in camera.marks.values():
             u, v = extra[right], extra[down]
             ways = ((v, height - u), (width - u, height - v), (width - v, u))
             extra[right], extra[down] = ways[quarters - 1]
-    return replace(few, measurements=replace(few.measurements, extra=extra))
+    return replace(sample, measurements=replace(sample.measurements, extra=extra))
 
 
-def _scaled(few: Calibration) -> Iterator[Judged]:
+def _scaled(sample: Calibration) -> Iterator[Judged]:
     """Yield that boards have another pitch than said, by what machine and photos say of it."""
-    for name, board in {c.markers.name: c.markers for c in _cameras(few)}.items():
+    for name, board in {c.markers.name: c.markers for c in _cameras(sample)}.items():
         if any(point is not None for point in board.points.values()):
-            case = _with_boards(few, {name: replace(board, scale=_UNSURE)})
+            case = _with_boards(sample, {name: replace(board, scale=_UNSURE)})
             missed, values, _ = _missed(case)
             scale = values.get(f"{name}.scale", 1.0)
             if abs(scale - 1.0) > _PITCH:
