@@ -75,7 +75,7 @@ def read_poses(
         table.array(reading_units(mechanism)) if commanded else None,
         places=_names(table, "pose"),
         influences=_influences(table, mechanism),
-        contacts={name: _names(table, name) or () for name in contacts if name in table},
+        contacts=_contacts(table, contacts),
         lines=table.file_lines,
         written=_way(table, mechanism),
     )
@@ -106,24 +106,15 @@ def read_measurements(
     setup = setup if isinstance(setup, Setup) else Setup.from_yaml(setup)
     platform = mechanism.platform
     if isinstance(source, Measurements):
-        for name, count in (("poses", platform.dof), ("readings", len(mechanism.reading_names))):
-            purpose = f"{name} of {mechanism.name!r}"
-            array_of(getattr(source, name), ("N", count), purpose, MeasurementError)
-        return source
-    if not (is_dataframe(source) or isinstance(source, TextTable)):
-        expected = "Measurements, a CSV file or a DataFrame"
-        must_be(source, (str, Path), "measurements", MeasurementError, expected)
-    table = read_table(source) if pairs is None else with_pairs(source, pairs)
-    source, related = related_columns(renamed(table, setup.headers))
-    setup = setup.of_rows({name: source.text[name] for name, unit in related.items() if not unit})
+        return _fitting(source, mechanism)
+    related, setup, named = _related(source, setup, pairs)
     further = setup.columns(mechanism)
     level = {"z": "m"} if platform.space == 2 and "z" not in further else {}
-    named = (*setup.contacts, *(name for name in related if name.endswith(TO)))
     known = known_columns(mechanism, further | level | dict.fromkeys(named, ""))
-    table = table_of(source, mechanism, known, influences)
+    every_row = table_of(related, mechanism, known, influences)
     columns = (*platform.coordinates, *_TURNS, *further, *mechanism.reading_names)
-    whole_table, table = table, table.where_measured(columns)
-    pixels, sigma_pixels = read_corners(setup, whole_table, table.lines)
+    table = every_row.where_measured(columns)
+    pixels, sigma_pixels = read_corners(setup, every_row, table.lines)
     _check_columns(table, mechanism, setup, further)
     way = _way(table, mechanism)
     if platform.turns == 3 and partial and way is None:
@@ -133,11 +124,8 @@ def read_measurements(
         poses = _levelled(table, setup, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
     unknown = unknown_columns(table, known)
-    extra = {
-        name: table.numbers(name, unit, blank=True)
-        for name, unit in further.items()
-        if name in table or not (partial or name in pixels)
-    } | pixels
+    extra, sigma_extra = _quantities(table, further, pixels, partial=partial)
+    extra |= pixels
     if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     data = Measurements(
@@ -147,14 +135,9 @@ def read_measurements(
         sigma_poses=_sigmas(table, freedoms, partial=partial),
         sigma_readings=_sigmas(table, reading_units(mechanism)),
         extra=extra,
-        sigma_extra={
-            name: _sigma(table, name, unit, blank=partial)
-            for name, unit in further.items()
-            if f"sigma_{name}" in table
-        }
-        | sigma_pixels,
+        sigma_extra=sigma_extra | sigma_pixels,
         covariances=covariances_of(table, freedoms | further),
-        contacts={name: _names(table, name) or () for name in named if name in table},
+        contacts=_contacts(table, named),
         influences=_influences(table, mechanism) | _further_influences(table, unknown, influences),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
@@ -162,6 +145,29 @@ def read_measurements(
         written=way,
     )
     return data.rows(np.arange(len(data)))  # which are related to none that was skipped
+
+
+def _fitting(data: Measurements, mechanism: Mechanism) -> Measurements:
+    """Return measurements that have the columns of a mechanism."""
+    counts = {"poses": mechanism.platform.dof, "readings": len(mechanism.reading_names)}
+    for name, count in counts.items():
+        purpose = f"{name} of {mechanism.name!r}"
+        array_of(getattr(data, name), ("N", count), purpose, MeasurementError)
+    return data
+
+
+def _related(source: Any, setup: Setup, pairs: Any) -> tuple[TextTable, Setup, tuple[str, ...]]:
+    """Return a table, its setup with what rows were measured from each other, and names' columns.
+
+    In these stands what a row touches, or from which other row it was measured.
+    """
+    if not (is_dataframe(source) or isinstance(source, TextTable)):
+        expected = "Measurements, a CSV file or a DataFrame"
+        must_be(source, (str, Path), "measurements", MeasurementError, expected)
+    table = read_table(source) if pairs is None else with_pairs(source, pairs)
+    table, related = related_columns(renamed(table, setup.headers))
+    setup = setup.of_rows({name: table.text[name] for name, unit in related.items() if not unit})
+    return table, setup, (*setup.contacts, *(name for name in related if name.endswith(TO)))
 
 
 def _check_columns(
@@ -281,6 +287,11 @@ def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
     return names
 
 
+def _contacts(table: TextTable, columns: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Return the columns of names that a table has, of those that name what rows meet."""
+    return {name: _names(table, name) or () for name in columns if name in table}
+
+
 def _sets(table: TextTable, mechanism: Mechanism) -> tuple[str, ...] | None:
     """Return the legs for which poses were chosen, or None where that is not said."""
     known, sets = {*mechanism.leg_names, EVERY_LEG, ""}, _names(table, "set")
@@ -300,16 +311,16 @@ def _influences(table: TextTable, mechanism: Mechanism) -> dict[str, Array]:
 
 
 def _further_influences(
-    table: TextTable, columns: Iterable[str], wanted: Collection[str] | None
+    table: TextTable, columns: Iterable[str], names: Collection[str] | None
 ) -> dict[str, Array]:
-    """Return further columns of a table, those that are wanted, or all of numbers that differ."""
-    if wanted is not None:
-        if missing := [name for name in wanted if name not in table]:
+    """Return further columns of a table, those that are named, or all of numbers that differ."""
+    if names is not None:
+        if missing := [name for name in names if name not in table]:
             raise MeasurementError(
                 f"{table.path}: no column {missing[0]!r}, on which terms are to depend. The file "
                 f"has {', '.join(table.units)}"
             )
-        return {name: table.plain(name, blank=True) for name in wanted}
+        return {name: table.plain(name, blank=True) for name in names}
     numbers = {}
     for name in columns:
         values = np.array([plain_number(cell) for cell in table.text[name]])
@@ -317,30 +328,37 @@ def _further_influences(
         if known.all() and np.ptp(values) > 0.0:
             numbers[name] = values
         elif known.any() and not known.all():
-            where = table.where(int(np.argmin(known)))
-            _log.info("%s: no number, so no term is tried with column %r", where, name)
+            cell = table.where(int(np.argmin(known)))
+            _log.info("%s: no number, so no term is tried with column %r", cell, name)
     return numbers
+
+
+def _quantities(
+    table: TextTable, units: Mapping[str, str], pixels: Collection[str], *, partial: bool
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return what was measured besides poses and readings, and its standard deviations, by column.
+
+    Pixels may be in a table of their own; all may be missing from what was measured in part.
+    """
+    values = {
+        name: table.numbers(name, unit, blank=True)
+        for name, unit in units.items()
+        if name in table or not (partial or name in pixels)
+    }
+    has_sigma = {name: unit for name, unit in units.items() if f"sigma_{name}" in table}
+    sigmas = _sigmas(table, has_sigma, partial=partial)
+    return values, {} if sigmas is None else dict(zip(has_sigma, sigmas.T, strict=True))
 
 
 def _sigmas(table: TextTable, units: Mapping[str, str], *, partial: bool = False) -> Array | None:
     """Return the ``sigma_…`` columns, (N, n), NaN where one is missing; None if all are."""
-    if not any(f"sigma_{name}" in table for name in units):
+    headers = {f"sigma_{name}": unit for name, unit in units.items()}
+    if not any(header in table for header in headers):
         return None
-    unknown = np.full(len(table.lines), np.nan)
-    columns = [
-        unknown
-        if partial and f"sigma_{name}" not in table
-        else _sigma(table, name, unit, blank=partial)
-        for name, unit in units.items()
-    ]
-    return np.column_stack(columns)
-
-
-def _sigma(table: TextTable, name: str, unit: str, *, blank: bool = False) -> Array:
-    values = table.numbers(f"sigma_{name}", unit, blank=blank)
-    if (values < 0.0).any():
+    values = table.array(headers, blank=partial, optional=partial)
+    for row, place in np.argwhere(values < 0.0)[:1]:
         raise MeasurementError(
-            f"{table.where(int(np.argmax(values < 0.0)))}: 'sigma_{name}' is "
-            "negative; a standard deviation is 0 or more"
+            f"{table.where(row)}: {[*headers][place]!r} is negative; a standard deviation is 0 or "
+            "more"
         )
     return values

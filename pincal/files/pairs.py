@@ -111,15 +111,7 @@ def _pairs(
         )
     sigma = table.numbers("sigma", "m").tolist() if "sigma" in table else [None] * len(table.lines)
     first: dict[tuple[object, ...], int] = {}
-    for line, ends in enumerate(zip(*(table.text[end] for end in _ENDS), strict=True)):
-        a, b = map(str.strip, ends)
-        if a == b or not {a, b} <= {*names}:
-            strange = b if a in names else a
-            fault = "measured from itself" if a == b else f"no row of {measured}"
-            raise MeasurementError(
-                f"{table.where(line)}: row {strange!r} is {fault}; expected two rows, by its "
-                "column 'row', or by their numbers if it has none"
-            )
+    for line, (a, b) in enumerate(_ends(table, names, measured)):
         filled = {kind: float(column[line]) for kind, column in values.items()}
         for kind, value in ((kind, v) for kind, v in filled.items() if np.isfinite(v)):
             before = first.setdefault((kind, frozenset((a, b)), abs(value)), line)
@@ -132,3 +124,17 @@ def _pairs(
             yield a, b, kind, value, sigma[line]
     if not first:
         raise MeasurementError(f"{table.path}: no distance is filled in")
+
+
+def _ends(table: TextTable, names: Collection[str], measured: Path) -> Iterator[tuple[str, str]]:
+    """Yield rows a and b of each line."""
+    for line, ends in enumerate(zip(*(table.text[end] for end in _ENDS), strict=True)):
+        a, b = map(str.strip, ends)
+        if a == b or not {a, b} <= {*names}:
+            strange = b if a in names else a
+            fault = "measured from itself" if a == b else f"no row of {measured}"
+            raise MeasurementError(
+                f"{table.where(line)}: row {strange!r} is {fault}; expected two rows, by its "
+                "column 'row', or by their numbers if it has none"
+            )
+        yield a, b

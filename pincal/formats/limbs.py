@@ -330,11 +330,8 @@ def _to_point(
 
     The point is seen from the last frame, shape (3,); None if the way closes a frame.
     """
-    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
-    count = 3 if normal is None else 1
-    last = moving[-count:]
-    passive = [joints[i].kind == "revolute" and joints[i].name not in driven for i in last]
-    if len(moving) <= count or not all(passive):
+    last = _passive_end(joints, driven, 3 if normal is None else 1)
+    if not last:
         return joints, None
     frames = list(accumulate((j.placement.origin() for j in joints[last[0] :]), np.matmul))
     turned = [frames[i - last[0]] for i in last]
@@ -349,6 +346,14 @@ def _to_point(
     if [joints[i].name for i in last] == [f"{stem}_{axis}" for axis in "xyz"]:
         first = replace(first, name=stem)
     return _up_to(joints[: last[0]], first, centre), place
+
+
+def _passive_end(joints: Sequence[Joint], driven: set[str], count: int) -> list[int]:
+    """Return the places of a way's last joints that move, if they turn passively; else none."""
+    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
+    last = moving[-count:] if len(moving) > count else []
+    passive = all(joints[i].kind == "revolute" and joints[i].name not in driven for i in last)
+    return last if passive else []
 
 
 def _point(tree: Tree, platform: str, last: Step, place: Array) -> Joint:

@@ -71,18 +71,21 @@ def read_loops(urdf: Path, loops: Path | None) -> Tree:
                 f"{loops}: {counts[0]} entries of {first!r}, but {counts[1]} of {second!r}; each "
                 "needs one"
             )
-    axes = [_TURNED[entry.choice(*_TURNED)] for entry in lists["joint_type"]]
-    replaced = [entry.text() for entry in lists["joint_name"]]
-    tree = read_closed(urdf, dict(zip(replaced, axes, strict=True)))
-    homed = keys["home"].pairs() if "home" in keys else {}
-    home = {joint: entry.number() for joint, entry in homed.items()}
-    drawn = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
-    joints = [edge.joint.name for edge in tree.edges]
-    named = [("joint_name", entry.text(), entry, drawn) for entry in lists["joint_name"]]
-    named += [("home", joint, entry, joints) for joint, entry in homed.items()]
-    for key, name, entry, known in named:
+
+    def joint(key: str, name: str, entry: Entry, known: Sequence[str]) -> str:
         if name not in known:
             entry.fail(f"{key!r} has {name!r}, no joint of {urdf}; it has {listed(known)}")
+        return name
+
+    drawn = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
+    replaced = {
+        joint("joint_name", entry.text(), entry, drawn): _TURNED[kind.choice(*_TURNED)]
+        for entry, kind in zip(lists["joint_name"], lists["joint_type"], strict=True)
+    }
+    tree = read_closed(urdf, replaced)
+    joints = [edge.joint.name for edge in tree.edges]
+    homed = keys["home"].pairs() if "home" in keys else {}
+    home = {joint("home", name, part, joints): part.number() for name, part in homed.items()}
     return replace(
         tree,
         edges=at_home(tree.edges, home),
