@@ -93,7 +93,7 @@ class Observation:
         lengths_read, self.meets = meetings(platform, data, setup)
         """Place of the feature that each row meets, -1 for none, shape (N, n_relations)."""
         scalars |= lengths_read
-        units = {name: u for own in setup.instruments for name, u in own.columns.items()}
+        units = {name: u for device in setup.instruments for name, u in device.columns.items()}
         conditions = [scalars.pop(name) for name in units]
         self.orientations = _orientations(platform, data)
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
@@ -286,9 +286,9 @@ class Observation:
             (N, r, dof), and by the external values, (N, r, n_external).
         """
         columns = self.external.free if columns is None else columns
-        seen, frame = external.frame @ matrices, external.frame[:3, :3]
-        rows = [*self._points(seen, external), self._turned(seen[:, :3, :3], external)]
-        rows += self._instruments(seen, external)
+        poses, frame = external.frame @ matrices, external.frame[:3, :3]
+        rows = [*self._points(poses, external), self._turned(poses[:, :3, :3], external)]
+        rows += self._instruments(poses, external)
         value, by_twist, by_external = (
             np.concatenate(part, axis=1) for part in zip(*rows, strict=True)
         )
@@ -304,19 +304,19 @@ class Observation:
             np.where(measured, by_external[:, :, columns], 0.0),
         )
 
-    def targets(self, seen: Array, external: External) -> dict[str, Predicted]:
+    def targets(self, poses: Array, external: External) -> dict[str, Predicted]:
         """Return places of targets, (N, 3), of platforms seen in the frame, (N, 4, 4)."""
-        R, points = seen[:, :3, :3], dict[str, Predicted]()
+        R, points = poses[:, :3, :3], dict[str, Predicted]()
         for index, target in enumerate(self.setup.targets):
             arm = R @ external.offsets[index]
             by_external = np.zeros((len(R), 3, self.external.own.stop))
             by_external[:, :, self.external.offsets][:, :, 3 * index : 3 * index + 3] = R
-            points[target] = (seen[:, :3, 3] + arm, point_velocity(arm, _TWIST), by_external)
+            points[target] = (poses[:, :3, 3] + arm, point_velocity(arm, _TWIST), by_external)
         return points
 
-    def _points(self, seen: Array, external: External) -> list[Predicted]:
+    def _points(self, poses: Array, external: External) -> list[Predicted]:
         """Return rows of coordinates of targets, and of what they meet."""
-        points, rows = self.targets(seen, external), []
+        points, rows = self.targets(poses, external), []
         for target, (u, D, E) in points.items():  # of the platform itself what it moves along
             axes = self.platform.lengths if target == ORIGIN else self.platform.space
             rows.append((u[:, :axes], D[:, :axes], E[:, :axes]))
@@ -355,12 +355,12 @@ class Observation:
         along = h * slope
         return row, np.where(follows, along + missed * by_turn, slope), along
 
-    def _instruments(self, seen: Array, external: External) -> list[Predicted]:
+    def _instruments(self, poses: Array, external: External) -> list[Predicted]:
         rows, first = [], len(self.names) - self.conditions.shape[1]
         for instrument, columns, places in self._devices():
             read = self.conditions[:, columns.start - first : columns.stop - first]
             values = external.instruments[places]
-            value, by_pose, by_own = evaluated(instrument, seen, values, read)
+            value, by_pose, by_own = evaluated(instrument, poses, values, read)
             by_external = np.zeros((*value.shape, self.external.own.stop))
             by_external[:, :, self.external.own.start + places] = by_own
             rows.append((value, by_pose, by_external))

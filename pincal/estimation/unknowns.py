@@ -157,11 +157,11 @@ class ExternalUnknowns:
 
         Poses are T_frame_platform, (N, 4, 4), measured what all instruments read, (N, r).
         """
-        begun, known, seen = values.instruments.copy(), dict[str, float](), values.frame @ poses
+        begun, known, in_frame = values.instruments.copy(), dict[str, float](), values.frame @ poses
         for instrument, places in zip(self.setup.instruments, self.of_instruments, strict=True):
             width = len(instrument.columns)
             if begin := getattr(instrument, "begin", None):
-                begun[places] = begin(seen, measured[:, :width], known)
+                begun[places] = begin(in_frame, measured[:, :width], known)
                 ids = (parameter.id for parameter in instrument.parameters)
                 known |= dict(zip(ids, begun[places].tolist(), strict=True))
             measured = measured[:, width:]

@@ -57,8 +57,8 @@ def table_of(
         if unused:
             missing = [name for name in known if name not in table.units and "sigma" not in name]
             shown = ", ".join(_meant_perhaps(name, missing) for name in unused[:NAMED])
-            more = f" and {len(unused) - NAMED} more" * (len(unused) > NAMED)
-            _log.info("%s: columns not used: %s", table.path, shown + more)
+            count = f" and {len(unused) - NAMED} more" * (len(unused) > NAMED)
+            _log.info("%s: columns not used: %s", table.path, shown + count)
     return table
 
 
@@ -122,11 +122,11 @@ def _unit_behind(column: str, name: str, dimension: str) -> str | None:
     """
     if not column.lower().startswith(name.lower()):
         return None
-    rest = column[len(name) :]
-    unit = rest.strip(" _/-(){}<>")
-    if (unit == COUNTS or UNITS.get(unit, ("",))[0] == dimension) and unit != rest:
+    ending = column[len(name) :]
+    unit = ending.strip(" _/-(){}<>")
+    if (unit == COUNTS or UNITS.get(unit, ("",))[0] == dimension) and unit != ending:
         return unit
-    return "" if not rest or rest.strip().startswith("(") else None
+    return "" if not ending or ending.strip().startswith("(") else None
 
 
 def covariances_of(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]:

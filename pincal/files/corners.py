@@ -96,16 +96,16 @@ def _cameras_and_points(corners: TextTable, pairs: Pairs) -> list[tuple[str, str
                 "same points; add it"
             )
     names = list(zip(cameras, points, strict=True))
-    others = sorted(
+    unused = sorted(
         {f"{point} of {camera or 'no camera'}" for camera, point in {*names} - {*pairs}}
     )
-    if len(others) == len({*names}):
+    if len(unused) == len({*names}):
         raise MeasurementError(
             f"{corners.path}: no corner is of a point that a camera of the setup sees: there are "
-            f"{listed(others)}; the setup has {listed(f'{p} of {camera}' for camera, p in pairs)}"
+            f"{listed(unused)}; the setup has {listed(f'{p} of {camera}' for camera, p in pairs)}"
         )
-    if others:
-        _log.info("%s: corners not used: %s", corners.path, listed(others))
+    if unused:
+        _log.info("%s: corners not used: %s", corners.path, listed(unused))
     return names
 
 

@@ -121,12 +121,12 @@ class TextTable:
         for row in np.flatnonzero(~(np.abs(values) <= LARGEST)):
             cell, place = self.text[column][row], f" in column {column!r}"
             if cell.strip():
-                why = why_no_number(cell, "in the header", place)
+                fault = why_no_number(cell, "in the header", place)
             elif blank:
                 continue
             else:
-                why = f"empty cell{place}"
-            raise MeasurementError(f"{self.where(int(row))}: {why}; correct it or remove the row")
+                fault = f"empty cell{place}"
+            raise MeasurementError(f"{self.where(int(row))}: {fault}; correct it or remove the row")
         return values
 
 

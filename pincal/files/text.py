@@ -78,8 +78,8 @@ def read_bytes(
     except FileError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        why = getattr(error, "strerror", None) or error
-        raise FileError(f"cannot read {path}: {why}") from error
+        cause = getattr(error, "strerror", None) or error
+        raise FileError(f"cannot read {path}: {cause}") from error
     if max(len(data), status.st_size) > largest:
         raise error_type(f"{path}: larger than {largest // 2**20} MiB; not a file of this kind")
     return bytes(data)

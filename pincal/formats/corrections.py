@@ -127,11 +127,11 @@ class CorrectionGrid:
     def corners(self, poses: Array) -> coo_array:
         """Return weights of the nodes around poses (N, dof), shape (N, k^dof)."""
         home = np.tile(self.platform.home, (len(poses), 1))
-        at = (self.platform.twists_between(home, poses) - self.low) / (self.high - self.low)
-        at = np.clip(at, 0.0, 1.0) * (self.count - 1)
-        cells = np.minimum(at.astype(int), self.count - 2)
+        place = (self.platform.twists_between(home, poses) - self.low) / (self.high - self.low)
+        place = np.clip(place, 0.0, 1.0) * (self.count - 1)
+        cells = np.minimum(place.astype(int), self.count - 2)
         nodes, weights = np.zeros((1, len(poses)), dtype=int), np.ones((1, len(poses)))
-        for cell, share in zip(cells.T, (at - cells).T, strict=True):
+        for cell, share in zip(cells.T, (place - cells).T, strict=True):
             nodes = np.concatenate((nodes * self.count + cell, nodes * self.count + cell + 1))
             weights = np.concatenate((weights * (1.0 - share), weights * share))
         rows = np.broadcast_to(np.arange(len(poses)), nodes.shape)

@@ -245,11 +245,11 @@ class Camera:
         every, places = self._numbers
         by_every = np.zeros((N, M, 2, len(every)))
         by_every[..., :3] = -by_moved
-        by_every[..., 3:6] = -np.cross(ray[:, :, None], by_moved) @ _left(place[3:])
+        by_every[..., 3:6] = -np.cross(ray[:, :, None], by_moved) @ _jacobian(place[3:])
         by_markers = by_every[..., 6 + len(lens) :]  # a view
         by_every[..., 6 : 6 + len(lens)] = by_lens
         by_markers[..., :3] = by_X
-        by_markers[..., 3:6] = np.cross(scale * turned[:, None], by_X) @ _left(on_holder[3:])
+        by_markers[..., 3:6] = np.cross(scale * turned[:, None], by_X) @ _jacobian(on_holder[3:])
         by_markers[..., 6] = (by_X * turned[:, None]).sum(axis=3)
         if (places >= 6 + len(lens) + 7).any():
             by_points = scale * by_X @ _matrix(on_holder)[:3, :3]
@@ -308,25 +308,25 @@ class Camera:
         points = np.array([point for point in self.markers.points.values() if point is not None])
         rays = self.lens.rays(measured.reshape(len(poses), -1, 2))[:, listed]
         boards = [board_in_camera(points, of_photo) for of_photo in rays]
-        seen = {row: board for row, board in enumerate(boards) if board is not None}
+        by_photo = {row: board for row, board in enumerate(boards) if board is not None}
         T, rows = (
             self._carried(poses, np.array([p.nominal for p in self.parameters]))[0],
-            np.array([*seen]),
+            np.array([*by_photo]),
         )
         missed = np.full((2, *measured.shape), np.nan)
-        for half, others in ((rows[::2], rows[1::2]), (rows[1::2], rows[::2])):
+        for half, unseen in ((rows[::2], rows[1::2]), (rows[1::2], rows[::2])):
             if len(half) < _FEWEST:
                 return None
-            ends = by_hand_eye(T[half], np.stack([seen[i] for i in half.tolist()]))
-            (at, turn), (on, turned) = (
+            ends = by_hand_eye(T[half], np.stack([by_photo[i] for i in half.tolist()]))
+            (position, turn), (on, turned) = (
                 (tuple(end[:3, 3]), tuple(Rotation.from_matrix(end[:3, :3]).as_rotvec()))
                 for end in ends
             )
             markers = replace(self.markers, at=on, rotation=turned, known=True)
-            placed = replace(self, at=at, rotation=turn, known=True, markers=markers)
+            placed = replace(self, at=position, rotation=turn, known=True, markers=markers)
             values = np.array([parameter.nominal for parameter in placed.parameters])
-            missed[0, others] = placed.evaluate(poses[others], values, measured[others])[0]
-            missed[1, others] = missed[0, others] * placed.metres_per_pixel(poses[others], values)
+            missed[0, unseen] = placed.evaluate(poses[unseen], values, measured[unseen])[0]
+            missed[1, unseen] = missed[0, unseen] * placed.metres_per_pixel(poses[unseen], values)
         return missed[0], missed[1]
 
     def begin(self, poses: Array, measured: Array, known: Mapping[str, float]) -> Array:
@@ -366,7 +366,7 @@ def _matrix(place: Array) -> Array:
     return matrix
 
 
-def _left(vector: Array) -> Array:
+def _jacobian(vector: Array) -> Array:
     """Return the turn of a change of a rotation vector, shape (3, 3): its left Jacobian."""
     x, y, z = vector
     S, angle = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), float(np.linalg.norm(vector))
@@ -376,9 +376,9 @@ def _left(vector: Array) -> Array:
     return np.asarray(np.eye(3) + a * S + b * S @ S)
 
 
-def _looking(at: Point, towards: Point) -> Point:
+def _looking(position: Point, towards: Point) -> Point:
     """Return the rotation vector of a camera that looks from a point towards another, upright."""
-    ahead = np.subtract(towards, at) / np.linalg.norm(np.subtract(towards, at))
+    ahead = np.subtract(towards, position) / np.linalg.norm(np.subtract(towards, position))
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     if np.linalg.norm(right) < 1e-6:  # straight up or down: y is up in the image
         right = np.array([1.0, 0.0, 0.0])

@@ -50,7 +50,7 @@ _SIDE = 480  # of a small picture [px]
 #: range of grey values, standard deviation [px], blur over half the window.
 _MISFIT, _CONTRAST, _SIGMA, _BLUR = 0.12, 0.04, 0.3, 0.5
 _MODEL = 0.002  # [px] what is missed without noise: pixels are squares, lenses bend edges
-_MUCH = 2.0  # times the usual blur, from which a photo is left out
+_BLURRED = 2.0  # times the usual blur, from which a photo is left out
 _SHARP = 1.5  # [px] blur that leaves no photo out
 
 
@@ -140,7 +140,7 @@ def checked(photos: Sequence[PhotoPoints]) -> None:
         if photo.size != usual:
             turned = ": some program has turned it" * (photo.size == usual[::-1])
             photo.reason = "{}x{} pixels, the others {}x{}".format(*photo.size, *usual) + turned
-        elif photo.points and photo.blur > max(_SHARP, _MUCH * float(np.median(blurs))):
+        elif photo.points and photo.blur > max(_SHARP, _BLURRED * float(np.median(blurs))):
             photo.reason = f"blurred over {photo.blur:.1f} px, usual are {np.median(blurs):.1f} px"
         if photo.reason:
             photo.omitted |= {n: (u, v, photo.reason) for n, (u, v, _) in photo.points.items()}
@@ -198,7 +198,7 @@ def _free_around(board: Board) -> float:
 
 def _markers(board: Board, picture: Picture8) -> tuple[Array, Array] | str:
     """Return corners of markers that lie as on the board: places there, and pixels."""
-    corners, numbers = _found(board.dictionary, picture)
+    corners, numbers = _detected(board.dictionary, picture)
     known = [i for i, number in enumerate(numbers) if number in board.markers]
     on_board = np.array([board.markers[numbers[i]] for i in known]).reshape(-1, 4, 2)
     in_image = np.array([corners[i] for i in known]).reshape(-1, 4, 2)
@@ -214,7 +214,7 @@ def _markers(board: Board, picture: Picture8) -> tuple[Array, Array] | str:
     return on_board[lying].reshape(-1, 2), in_image[lying].reshape(-1, 2)
 
 
-def _found(dictionary: str, picture: Picture8) -> tuple[list[Array], list[int]]:
+def _detected(dictionary: str, picture: Picture8) -> tuple[list[Array], list[int]]:
     """Return corners, (4, 2) each, and numbers of the markers of a dictionary in a picture."""
     settings = cv2.aruco.DetectorParameters()
     settings.minMarkerPerimeterRate = 0.015
@@ -226,7 +226,7 @@ def _found(dictionary: str, picture: Picture8) -> tuple[list[Array], list[int]]:
 
 def _why_nothing(board: Board, picture: Picture8, numbers: Sequence[int]) -> str:
     """Return why a photo shows no marker of a board."""
-    mirrored = _found(board.dictionary, np.ascontiguousarray(picture[:, ::-1]))[1]
+    mirrored = _detected(board.dictionary, np.ascontiguousarray(picture[:, ::-1]))[1]
     if len(mirrored) > max(2, len(numbers)):
         return "markers are mirrored: print the board, or take the photo, the right way round"
     if strange := sorted(set(numbers) - set(board.markers)):
@@ -235,7 +235,7 @@ def _why_nothing(board: Board, picture: Picture8, numbers: Sequence[int]) -> str
     if len(numbers) > 1:
         return f"markers do not lie as on {board.name}: it is another board, or it is bent"
     for name in ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "APRILTAG_36h11"):
-        if name != board.dictionary and len(_found(name, picture)[1]) > 2:
+        if name != board.dictionary and len(_detected(name, picture)[1]) > 2:
             return f"the markers are of the dictionary {name}, {board.name} has {board.dictionary}"
     return "no marker is found: is the board in the photo, sharp and large enough?"
 
@@ -368,7 +368,7 @@ class _Corners:
             trial = x + np.clip(step, -1.0, 1.0)
             trial[:, 4] = np.clip(trial[:, 4], np.log(0.2), np.log(8.0))
         freedoms = np.maximum(w.sum(axis=1) - 7, 1.0)
-        variance = cost / freedoms * _alike(r.reshape(n, self.side, self.side))
+        variance = cost / freedoms * _correlation_factor(r.reshape(n, self.side, self.side))
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         sigma = np.sqrt(variance * (inverse[:, 0, 0] + inverse[:, 1, 1]) / 2 + _MODEL**2)
         moved, blur = np.hypot(x[:, 0], x[:, 1]), np.exp(x[:, 4])
@@ -386,7 +386,7 @@ class _Corners:
             yield i, float(u), float(v), float(sigma[i]), float(blur[i]), reason
 
 
-def _alike(residuals: Array) -> float:
+def _correlation_factor(residuals: Array) -> float:
     """Return by how much more than white noise residuals of a photo's windows vary a fit."""
     total, factor = (residuals**2).sum(), 1.0
     for axis in (1, 2):

@@ -207,12 +207,12 @@ class Lens:
         By Newton's method on the nominal lens; NaN where no direction has such a pixel.
         """
         f, centre, k = np.split(self.values, [2, 4])
-        wanted = (np.asarray(pixels, dtype=float) - centre) / f
-        around = np.linalg.norm(wanted, axis=-1)
+        distorted = (np.asarray(pixels, dtype=float) - centre) / f
+        around = np.linalg.norm(distorted, axis=-1)
         if self.fisheye:
             around, ahead = np.minimum(around, np.pi), np.ones_like(around)
             safe = np.where(around > 0.0, around, 1.0)
-            flat = wanted / safe[..., None]
+            flat = distorted / safe[..., None]
             angle = around.copy()
             for _ in range(_NEWTON):
                 t, powers = angle * angle, np.arange(1, len(k) + 1)
@@ -222,10 +222,10 @@ class Lens:
             return np.concatenate(
                 (flat * np.sin(angle)[..., None], (ahead * np.cos(angle))[..., None]), axis=-1
             )
-        ray = np.concatenate((wanted, np.ones((*around.shape, 1))), axis=-1)
+        ray = np.concatenate((distorted, np.ones((*around.shape, 1))), axis=-1)
         for _ in range(_NEWTON):
             plane, by_point, _ = self._on_plane(ray, k)
-            missed = plane - wanted
+            missed = plane - distorted
             step = np.linalg.solve(by_point[..., :2], missed[..., None])[..., 0]
             ray[..., :2] -= np.clip(np.nan_to_num(step), -1.0, 1.0)
             if not np.nanmax(np.abs(step), initial=0.0) > _NEAR:

@@ -97,13 +97,13 @@ class _Rays:
             return place, self.points, (A @ (fixed - place)[..., None])[..., 0]
         normal, right = np.zeros((M + 1, 3, M + 1, 3)), np.zeros((M + 1, 3))
         normal[0, :, 0] = A.sum(axis=(0, 1))
-        At = (A @ t[:, None, :, None])[..., 0]
-        right[0] = At.sum(axis=(0, 1))
+        A_t = (A @ t[:, None, :, None])[..., 0]
+        right[0] = A_t.sum(axis=(0, 1))
         coupled = AR.sum(axis=0)
         for m in range(M):
             normal[m + 1, :, m + 1] = np.einsum("nji,njk->ik", R, AR[:, m])
             normal[0, :, m + 1], normal[m + 1, :, 0] = -coupled[m], -coupled[m].T
-            right[m + 1] = -np.einsum("nji,nj->i", R, At[:, m])
+            right[m + 1] = -np.einsum("nji,nj->i", R, A_t[:, m])
         size = 3 * (M + 1)
         x = np.linalg.lstsq(normal.reshape(size, size), right.ravel(), rcond=1e-9)[0].reshape(-1, 3)
         y = (R @ x[1:].T).transpose(0, 2, 1) + (t - x[0])[:, None]
@@ -137,8 +137,8 @@ class _Rays:
         """Return points by the rays of a camera that is placed, (M, 3); NaN if seen too rarely."""
         A, R = self._across(place[3:]), self.T[:, None, :3, :3]
         normal = (R.transpose(0, 1, 3, 2) @ A @ R).sum(axis=0)
-        at = (place[:3] - self.T[:, :3, 3])[:, None, :, None]
-        right = (R.transpose(0, 1, 3, 2) @ A @ at).sum(axis=0)
+        offset = (place[:3] - self.T[:, :3, 3])[:, None, :, None]
+        right = (R.transpose(0, 1, 3, 2) @ A @ offset).sum(axis=0)
         points = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ right
         return np.where(self.seen.sum(axis=0)[:, None] > 1, points[..., 0], np.nan)
 
@@ -157,26 +157,27 @@ def board_in_camera(points: Array, rays: Array) -> Array | None:
     return pose
 
 
-def by_hand_eye(T: Array, seen: Array) -> tuple[Array, Array]:
+def by_hand_eye(T: Array, boards: Array) -> tuple[Array, Array]:
     """Return T_holder_camera and T_carrier_board, (4, 4), by a machine that is as it is drawn.
 
-    Of T T_carrier_board = T_holder_camera seen, rotations first: vec R_camera is the sum of
-    (R_seen ⊗ R) vec R_board (M. Shah 2013, as OpenCV's ``calibrateRobotWorldHandEye`` has it).
+    Of T T_carrier_board = T_holder_camera T_camera_board, rotations first: vec R_holder_camera is
+    the sum of (R_camera_board ⊗ R) vec R_carrier_board (M. Shah 2013, as OpenCV's
+    ``calibrateRobotWorldHandEye`` has it).
 
     Args:
         T: Poses of what carries the board, in the frame of what holds the camera, (N, 4, 4).
-        seen: T_camera_board, shape (N, 4, 4).
+        boards: T_camera_board, shape (N, 4, 4).
     """
-    R, S = T[:, :3, :3], seen[:, :3, :3]
+    R, S = T[:, :3, :3], boards[:, :3, :3]
     K = sum(np.kron(S_i, R_i) for S_i, R_i in zip(S, R, strict=True))
     U, _, Vt = np.linalg.svd(K)
     ends = np.tile(np.eye(4), (2, 1, 1))
     for end, vector in zip(ends, (U[:, 0], Vt[0]), strict=True):
         M = vector.reshape(3, 3)  # transposed: of the inverse
-        left, _, right = np.linalg.svd(M * np.sign(np.linalg.det(M)))
-        end[:3, :3] = left @ right
+        P, _, Q = np.linalg.svd(M * np.sign(np.linalg.det(M)))
+        end[:3, :3] = P @ Q
     A = np.concatenate((np.broadcast_to(-np.eye(3), S.shape), S), axis=2).reshape(-1, 6)
-    b = (T[:, :3, 3] @ ends[0, :3, :3].T - seen[:, :3, 3]).ravel()
+    b = (T[:, :3, 3] @ ends[0, :3, :3].T - boards[:, :3, 3]).ravel()
     ends[:, :3, 3] = np.linalg.lstsq(A, b, rcond=None)[0].reshape(2, 3)
     camera, board = np.linalg.inv(ends)
     return camera, board

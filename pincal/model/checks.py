@@ -198,7 +198,7 @@ def named_points(values: Any, label: str, error_type: type[PincalError]) -> dict
     if not points:
         raise error_type(f"{label}: no points; name those that it has")
     for name, point in points.items():
-        where = f"point {must_be(name, str, 'the name of a point', error_type)!r} of {label}"
+        context = f"point {must_be(name, str, 'the name of a point', error_type)!r} of {label}"
         if point is not None:
-            points[name] = tuple(array_of(point, (3,), where, error_type).tolist())
+            points[name] = tuple(array_of(point, (3,), context, error_type).tolist())
     return points

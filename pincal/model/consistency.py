@@ -315,8 +315,8 @@ def home_gap(leg: Leg, platform: Platform) -> tuple[float, float]:
         else:
             frame = platform.home_pose.as_matrix()[0] @ end.meets.placement.origin()
             axes = np.eye(3)
-        apart = axes.T @ (tip - frame)[:3, 3]
-        shift = apart[[row for row in platform.closing(end) if row < 3]]
+        offset = axes.T @ (tip - frame)[:3, 3]
+        shift = offset[[row for row in platform.closing(end) if row < 3]]
         gap = max(gap, float(np.linalg.norm(shift)))
         if end.closes == "frame":
             R = Rotation.from_matrix(frame[:3, :3].T @ tip[:3, :3])

@@ -235,7 +235,7 @@ class Setup:
     @property
     def required(self) -> dict[str, str]:
         """Columns that tables of measurements must have, and whose they are; not of corners."""
-        apart = self.pixels if self.corners else set()
+        elsewhere = self.pixels if self.corners else set()
         named = dict.fromkeys(self.distances, "a distance that the setup names")
         named |= dict.fromkeys(self.contacts, "which says what is touched in each row")
         named |= dict.fromkeys(self.read_lengths[len(self.distances) :], "which a gauge reads")
@@ -243,7 +243,7 @@ class Setup:
             column: f"which instrument {instrument.name!r} reads"
             for instrument in self.instruments
             for column in instrument.columns
-            if column not in apart
+            if column not in elsewhere
         }
 
     @property

@@ -86,10 +86,10 @@ def answers(
 
 def verdict(result: CalibrationResult, errors: WorkspaceErrors | None) -> tuple[str, str]:
     """Return the verdict in a line, and its style in a terminal."""
-    better, *others, _ = answers(result, errors, next_steps(result, errors))
-    tones = {better.tone, *(answer.tone for answer in others)}
+    better, *further, _ = answers(result, errors, next_steps(result, errors))
+    tones = {better.tone, *(answer.tone for answer in further)}
     mark, style = next(look for tone, look in _MARKS.items() if tone in tones)
-    first, *following = [answer.verdict for answer in others or [better]]
+    first, *following = [answer.verdict for answer in further or [better]]
     words = [first, *(text[:1].lower() + text[1:] for text in following)]
     words += [f"χ² {rounded(result.reduced_chi2)}"] if errors and result.degrees_of_freedom else []
     return f"{mark} {result.nominal.name}: {' · '.join(words)}", style
@@ -102,8 +102,8 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
             return "No", "bad", f"Residuals are {excess}. {_NO_BETTER}"
         return "Not shown", "bad", f"Residuals fell, but are still {excess}. {_FOLLOWED}"
     if not errors.determined:
-        why = _UNDETERMINED if errors.share else "No pose lies in the measured region"
-        return _UNKNOWN, "bad", why
+        reason = _UNDETERMINED if errors.share else "No pose lies in the measured region"
+        return _UNKNOWN, "bad", reason
     if not errors.moved:
         return _HELD, "good", "All parameters of the machine were fixed"
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.inside.limit])

@@ -113,18 +113,19 @@ def deploy(
         raise MeasurementError("the fit did not converge, so there is no machine to deploy")
     options = GridOptions(**correction)
     frames = () if result is None else result.measured_frames
-    wanted = Deployed(as_mechanism(machine) if result is None else result.identified, *frames)
+    deployed = Deployed(as_mechanism(machine) if result is None else result.identified, *frames)
     misses = ("", "")
     if options.grid:
-        nominal = wanted.mechanism if result is None else result.nominal
-        wanted, misses = _with_grid(wanted, as_mechanism(options.controller or nominal), options)
+        nominal = deployed.mechanism if result is None else result.nominal
+        controller = as_mechanism(options.controller or nominal)
+        deployed, misses = _with_grid(deployed, controller, options)
     uncertain = None if result is None else _uncertain(result)
-    mechanism = wanted.mechanism
+    mechanism = deployed.mechanism
     prefix = re.sub(r"[^a-z0-9]", "_", mechanism.name.lower())
     prefix = "machine_" * prefix[:1].isdigit() + prefix
-    files = {"kinematics.py": python_file(wanted), f"{prefix}.h": c_header(wanted, prefix)}
+    files = {"kinematics.py": python_file(deployed), f"{prefix}.h": c_header(deployed, prefix)}
     files |= _linuxcnc(mechanism)
-    files[HOW_TO] = _how_to(wanted, prefix, _source(result), LINUXCNC in files)
+    files[HOW_TO] = _how_to(deployed, prefix, _source(result), LINUXCNC in files)
     tables = [SHEET]
     if options.grid:
         files[HOW_TO] += _GRID.format(prefix, *misses)
@@ -133,8 +134,8 @@ def deploy(
         for name, text in files.items():
             (scratch / name).write_text(text, "utf-8")
         write_table(scratch / SHEET, geometry_sheet(mechanism, uncertain))
-        if wanted.grid is not None:
-            write_table(scratch / CORRECTIONS, grid_columns(mechanism, wanted.grid))
+        if deployed.grid is not None:
+            write_table(scratch / CORRECTIONS, grid_columns(mechanism, deployed.grid))
 
 
 def _linuxcnc(mechanism: Mechanism) -> dict[str, str]:
@@ -156,10 +157,10 @@ def _source(result: CalibrationResult | None) -> str:
 
 
 def _with_grid(
-    wanted: Deployed, controller: Mechanism, options: GridOptions
+    deployed: Deployed, controller: Mechanism, options: GridOptions
 ) -> tuple[Deployed, tuple[str, str]]:
     """Return what is deployed with corrections on a grid, and misses with and without, in words."""
-    machine, platform = wanted.mechanism, wanted.mechanism.platform
+    machine, platform = deployed.mechanism, deployed.mechanism.platform
     if machine.by_readings:
         raise MechanismError(
             f"poses of {machine.name!r} do not determine its readings, so they have no grid of "
@@ -180,13 +181,13 @@ def _with_grid(
         arrived = platform.moved(commands[reached], errors[reached])
         missed = sizes(platform.units, platform.twists_between(unseen[reached], arrived))
         parts = list(zip(missed.T, ("m", "rad")[: 1 + (platform.turns > 0)], strict=False))
-        most = " and ".join(amount(part.max(), unit) for part, unit in parts)
+        largest = " and ".join(amount(part.max(), unit) for part, unit in parts)
         usual = " and ".join(amount(np.quantile(part, 0.95), unit) for part, unit in parts)
-        return f"{usual} (95 %), {most} at most"
+        return f"{usual} (95 %), {largest} at most"
 
     after, before = missed_by(grid.commands(unseen)), missed_by(unseen)
     _log.info("unseen poses are missed by %s; without corrections by %s", after, before)
-    return replace(wanted, grid=grid), (after, before)
+    return replace(deployed, grid=grid), (after, before)
 
 
 def _uncertain(result: CalibrationResult) -> dict[str, tuple[Array, Array]]:

@@ -64,9 +64,9 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
     lines, remaining = list(map(_slip_line, explanation.slips)), visible
     while remaining and len(lines) < NAMED + len(explanation.slips):
-        first, *others = remaining
+        first, *further = remaining
         lines.append(_seen_line(first, nominal))
-        remaining = [rival for rival in others if rival.pair not in first.or_else]
+        remaining = [rival for rival in further if rival.pair not in first.or_else]
     lines += [_MEND] * bool(explanation.slips)
     if not visible:
         least = min((candidate.corrected for candidate in candidates), default=1.0)
@@ -75,8 +75,8 @@ def explanation_lines(explanation: Explanation) -> list[str]:
             "corrected for their number"
         )
     lines += [
-        f"fold {fold + 1} is not compared, since the other rows do not determine it: {why}"
-        for fold, why in explanation.lost
+        f"fold {fold + 1} is not compared, since the other rows do not determine it: {reason}"
+        for fold, reason in explanation.lost
     ]
     sizes = {"held_out": explanation.model.held_out, "before": explanation.models[1].held_out}
     lines.append(_VERDICTS[explanation.verdict].format(**sizes))
@@ -127,9 +127,9 @@ def _or_else(alternatives: Sequence[str]) -> str:
 def _slip_line(slip: Slip) -> str:
     subject, look = _SLIPPED[slip.what]
     alternatives = [_SLIPPED[kind][0].format(name=name).rstrip(",") for kind, name in slip.or_else]
-    size, *others = slip.size.tolist()
-    shown = amount(float(np.hypot.reduce(slip.size)) if others else size, slip.unit)
-    if others:
+    size, *further_sizes = slip.size.tolist()
+    shown = amount(float(np.hypot.reduce(slip.size)) if further_sizes else size, slip.unit)
+    if further_sizes:
         parts = zip(slip.axes, slip.size.tolist(), strict=True)
         along = ", ".join(f"{axis} {amount(value, slip.unit)}" for axis, value in parts)
         axes = "the platform's axes" if slip.what == "target" else "the axes of the measurements"

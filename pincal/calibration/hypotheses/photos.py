@@ -59,11 +59,11 @@ def pitch_faults(calibration: Calibration) -> tuple[Finding, ...]:
     return _explaining(_missed(sample)[0], [*_scaled(sample)])
 
 
-def _explaining(given: float, judged: list[Judged]) -> tuple[Finding, ...]:
+def _explaining(nominal_miss: float, judged: list[Judged]) -> tuple[Finding, ...]:
     missed, code, values, rows = min(judged, key=lambda case: case[0], default=(np.inf, "", {}, ()))
-    if not missed * _RATIO <= given:
+    if not missed * _RATIO <= nominal_miss:
         return ()
-    return (finding(code, rows, given=given, missed=missed, **values),)
+    return (finding(code, rows, given=nominal_miss, missed=missed, **values),)
 
 
 def _sample(calibration: Calibration) -> Calibration:

@@ -61,18 +61,18 @@ def with_terms(
     pairs = list(dict.fromkeys(chain.from_iterable(parts.values())))
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
     idle = {(place, GRAVITY) for place in idle_places(mechanism, data)}
-    wanted = [(place, kind) for place, kind in pairs if (place, kind.name) not in idle]
+    tried_pairs = [(place, kind) for place, kind in pairs if (place, kind.name) not in idle]
     legs, labels = [], list(mechanism.labels)
     ids: dict[Pair, tuple[str, ...]] = dict.fromkeys(pairs, ())
     for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
         extended_leg = leg
-        for pair, terms, label in _lacking(leg, wanted, data, data.readings[:, columns]):
+        for pair, terms, label in _lacking(leg, tried_pairs, data, data.readings[:, columns]):
             if (longer := _with_amplitude(extended_leg, terms)) is not extended_leg:
                 id_ = f"{leg.name}.{longer.parameter_names[-1]}"
                 ids[pair] += (id_,)
                 labels.append((id_, label))
                 extended_leg = longer
-        if (pair := (leg.name, Kind(PULLEY))) in wanted and is_cable(extended_leg):
+        if (pair := (leg.name, Kind(PULLEY))) in tried_pairs and is_cable(extended_leg):
             extended_leg = over_pulley(extended_leg, _POINT, _new_name(extended_leg, "r"))
             ids[pair] = extended_leg.parameter_ids[-1:]
             labels.append((ids[pair][0], "radius of the pulley"))
@@ -90,7 +90,7 @@ def _single_pairs(pair: Pair, mechanism: Mechanism) -> list[Pair]:
 
 
 def _lacking(
-    leg: Leg, wanted: Sequence[Pair], data: Measurements, readings: Array
+    leg: Leg, tried_pairs: Sequence[Pair], data: Measurements, readings: Array
 ) -> Iterator[tuple[Pair, dict[int | str, Term], str]]:
     """Yield places and kinds with terms of one amplitude, of sensors by index, and what it is."""
     several = len(leg.sensors) > 1
@@ -100,7 +100,7 @@ def _lacking(
     places += [(n, f"{leg.name}.{n}", unit, _NOTHING) for n, unit in leg.placed.items()]
     for key, place, unit, values in places:
         stem = key if isinstance(key, str) else place * several
-        for kind in (k for wanted_place, k in wanted if wanted_place == place and k != PULLEY):
+        for kind in (k for wanted_place, k in tried_pairs if wanted_place == place and k != PULLEY):
             for name, basis, of, label in _bases(kind, place, unit, values, data):
                 term = Term(_identifier(stem, name), basis, of=of)
                 yield (
@@ -108,7 +108,7 @@ def _lacking(
                     {key: term},
                     label if isinstance(key, int) else f"of {key} {label}",
                 )
-    for kind in (kind for wanted_place, kind in wanted if wanted_place == GROWTH):
+    for kind in (kind for wanted_place, kind in tried_pairs if wanted_place == GROWTH):
         for name, basis, of, label in _bases(kind, "", "", _NOTHING, data):
             term = Term(_identifier(GROWTH, name), basis, of=of, unit="1")
             yield (GROWTH, kind), _in_proportion(term, leg), f"share of all lengths {label}"

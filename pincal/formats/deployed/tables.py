@@ -231,8 +231,8 @@ def _load(machine: Mechanism) -> Table | None:
     if not machine.weighs or not machine.loaded:
         return None
     drawing, load = machine.drawing, machine.load or Load()
-    (leg, *others) = drawing.legs
-    if others or not leg.is_arm:
+    (leg, *further) = drawing.legs
+    if further or not leg.is_arm:
         raise MechanismError(
             f"terms of {machine.name!r} follow loads of a machine with loops, which no file "
             "computes; write a table of corrections instead (pincal export … -o corrections.csv)"
