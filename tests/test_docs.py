@@ -159,6 +159,8 @@ def test_every_finding_is_explained() -> None:
         assert advice == f"{one.remedy}." if one.remedy and "{" not in one.remedy else advice
     elsewhere = {"not-converged", "not-corrected", "residuals-too-large"}  # said by the report
     elsewhere |= {"chi2-too-large", "chi2-too-small", "unknown-frame"}  # codes made by choice
+    elsewhere |= {"photos-shifted", "photos-turned", "board-mirrored", "boards-exchanged"}
+    elsewhere |= {"camera-moved", "board-scale"}
     assert made() - {"nothing"} == set(WORDINGS) - elsewhere
     robot = pincal.load_mechanism("5R")
     plan = pincal.Plan(np.array([[0.1 * i - 0.3, 1.1 + 0.02 * (i % 3)] for i in range(8)]))
