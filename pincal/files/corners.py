@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -34,7 +34,9 @@ def read_corners(setup: Setup, table: TextTable, lines: Sequence[int]) -> tuple[
     if setup.corners is None:
         return {}, {}
     corners, place = read_table(setup.corners), {line: i for i, line in enumerate(lines)}
-    _check_columns(corners, ("point", "u", "v"))
+    for name, unit in {"point": "", "u": " [px]", "v": " [px]"}.items():
+        if name not in corners:
+            raise MeasurementError(f"{corners.path}: no column '{name}{unit}' of corners")
     pairs = {
         (device.name, point): pair
         for device in setup.instruments
@@ -77,13 +79,6 @@ def corners_of(setup: Setup, data: Measurements) -> Columns:
     return {**named, "u [px]": np.array(right), "v [px]": np.array(down)}
 
 
-def _check_columns(corners: TextTable, needed: Iterable[str]) -> None:
-    for name in needed:
-        if name not in corners:
-            unit = "" if name == "point" else " [px]"
-            raise MeasurementError(f"{corners.path}: no column '{name}{unit}' of corners")
-
-
 def _cameras_and_points(corners: TextTable, pairs: Pairs) -> list[tuple[str, str]]:
     """Return camera and point of each corner; of a point that only one camera may see, it is it."""
     points, cameras = corners.text["point"], corners.text.get("camera")
@@ -96,9 +91,8 @@ def _cameras_and_points(corners: TextTable, pairs: Pairs) -> list[tuple[str, str
                 "same points; add it"
             )
     names = list(zip(cameras, points, strict=True))
-    unused = sorted(
-        {f"{point} of {camera or 'no camera'}" for camera, point in {*names} - {*pairs}}
-    )
+    strange = {*names} - {*pairs}
+    unused = sorted(f"{point} of {camera or 'no camera'}" for camera, point in strange)
     if len(unused) == len({*names}):
         raise MeasurementError(
             f"{corners.path}: no corner is of a point that a camera of the setup sees: there are "

@@ -30,7 +30,7 @@ from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, columns_of, rotation_of
-from pincal.model.relations import ROW, TO
+from pincal.model.relations import TO
 from pincal.model.setup import Setup
 from pincal.types import Array
 from pincal.words.numbers import amount
@@ -64,10 +64,10 @@ def read_poses(
     if not (isinstance(source, str | Path) or is_dataframe(source)):
         kind = "poses, a plan or its file"
         return Plan(array_of(source, ("N", platform.dof), kind, MeasurementError))
-    contacts = dict.fromkeys(() if setup is None else setup.contacts, "")
     table, related = related_columns(read_table(source))
-    contacts |= {name: "" for name in related if name == ROW or name.endswith(TO)}
-    table = table_of(table, mechanism, known_columns(mechanism, contacts | related))
+    contacts = [*(setup or Setup()).contacts, *(name for name, unit in related.items() if not unit)]
+    known = known_columns(mechanism, dict.fromkeys(contacts, "") | related)
+    table = table_of(table, mechanism, known)
     commanded = mechanism.by_readings and any(name in table for name in mechanism.reading_names)
     return Plan(
         _poses(table, mechanism, partial=partial),

@@ -38,13 +38,17 @@ def related_columns(table: TextTable) -> tuple[TextTable, dict[str, str]]:
     columns = [name.removesuffix(TO) for name in table.units if _LEADS.fullmatch(name)]
     if not columns:
         return table, {}
-    if ROW not in table:
-        numbers = [str(1 + row) for row in range(len(table.lines))]
-        units, text = {ROW: None, **table.units}, {ROW: numbers, **table.text}
-        table = replace(table, units=units, text=text)
+    table = _named(table)
     _check_names(table, columns)
     known = {name: unit for c in columns for name, unit in ((c, "m"), (f"{c}{TO}", ""))}
     return table, {**known, ROW: ""}
+
+
+def _named(table: TextTable) -> TextTable:
+    """Return a table whose column ``row`` names its rows: 1, 2, … if it does not."""
+    numbers = [str(1 + row) for row in range(len(table.lines))]
+    units, text = {ROW: None, **table.units}, {ROW: numbers, **table.text}
+    return replace(table, units=units, text=text)
 
 
 def _check_names(table: TextTable, columns: Sequence[str]) -> None:
@@ -75,8 +79,8 @@ def with_pairs(measurements: Any, pairs: Any) -> TextTable:
         MeasurementError: a column or number that is missing, a row that does not exist, a pair that
             was typed twice.
     """
-    table, typed = read_table(measurements), read_table(pairs)
-    names = [cell.strip() for cell in table.text.get(ROW, map(str, range(1, 1 + len(table.lines))))]
+    table, typed = _named(read_table(measurements)), read_table(pairs)
+    names = [cell.strip() for cell in table.text[ROW]]
     place = {name: row for row, name in enumerate(names)}
     cells: dict[str, list[str]] = defaultdict(lambda: [""] * len(names))
     hosted = [0] * len(names)
@@ -91,9 +95,7 @@ def with_pairs(measurements: Any, pairs: Any) -> TextTable:
         if sigma is not None:
             cells[f"sigma_{column}"][place[host]] = repr(sigma)
     units = {name: None if name.endswith(TO) else "m" for name in cells}
-    rows: dict[str, None] = {} if ROW in table else {ROW: None}
-    text = {**dict.fromkeys(rows, names), **table.text, **cells}
-    return replace(table, units={**rows, **table.units, **units}, text=text)
+    return replace(table, units=table.units | units, text=table.text | cells)
 
 
 def _pairs(

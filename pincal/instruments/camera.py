@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError
 from pincal.instruments.lens import Lens
@@ -96,10 +96,8 @@ class Markers:
         """
         listed = np.array([point is not None for point in self.points.values()])
         points = np.reshape([point or (0.0, 0.0, 0.0) for point in self.points.values()], (-1, 3))
-        usable, place = (
-            listed & np.isfinite(places).all(axis=1),
-            np.array([*self.at, *self.rotation]),
-        )
+        usable = listed & np.isfinite(places).all(axis=1)
+        place = np.array([*self.at, *self.rotation])
         if "x" in self.priors and usable.sum() >= 3:
             middles = places[usable].mean(axis=0), points[usable].mean(axis=0)
             arms = places[usable] - middles[0], points[usable] - middles[1]
@@ -309,10 +307,8 @@ class Camera:
         rays = self.lens.rays(measured.reshape(len(poses), -1, 2))[:, listed]
         boards = [board_in_camera(points, of_photo) for of_photo in rays]
         by_photo = {row: board for row, board in enumerate(boards) if board is not None}
-        T, rows = (
-            self._carried(poses, np.array([p.nominal for p in self.parameters]))[0],
-            np.array([*by_photo]),
-        )
+        rows = np.array([*by_photo])
+        T = self._carried(poses, np.array([p.nominal for p in self.parameters]))[0]
         missed = np.full((2, *measured.shape), np.nan)
         for half, unseen in ((rows[::2], rows[1::2]), (rows[1::2], rows[::2])):
             if len(half) < _FEWEST:
@@ -361,9 +357,8 @@ def _numbers_of(name: str, place: Array) -> dict[str, float]:
 
 def _matrix(place: Array) -> Array:
     """Return the transform of a position and a rotation vector, shapes (6,) and (4, 4)."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = Rotation.from_rotvec(place[3:]).as_matrix(), place[:3]
-    return matrix
+    turn = Rotation.from_rotvec(place[3:])
+    return RigidTransform.from_components(place[:3], turn).as_matrix()
 
 
 def _jacobian(vector: Array) -> Array:

@@ -210,18 +210,17 @@ class Lens:
         distorted = (np.asarray(pixels, dtype=float) - centre) / f
         around = np.linalg.norm(distorted, axis=-1)
         if self.fisheye:
-            around, ahead = np.minimum(around, np.pi), np.ones_like(around)
+            around = np.minimum(around, np.pi)
             safe = np.where(around > 0.0, around, 1.0)
             flat = distorted / safe[..., None]
-            angle = around.copy()
+            angle = around
             for _ in range(_NEWTON):
                 t, powers = angle * angle, np.arange(1, len(k) + 1)
                 series = (k * t[..., None] ** powers).sum(axis=-1)
                 slope = (k * (2 * powers + 1) * t[..., None] ** powers).sum(axis=-1)
                 angle = angle - (angle * (1 + series) - around) / (1 + slope)
-            return np.concatenate(
-                (flat * np.sin(angle)[..., None], (ahead * np.cos(angle))[..., None]), axis=-1
-            )
+            across, along = flat * np.sin(angle)[..., None], np.cos(angle)[..., None]
+            return np.concatenate((across, along), axis=-1)
         ray = np.concatenate((distorted, np.ones((*around.shape, 1))), axis=-1)
         for _ in range(_NEWTON):
             plane, by_point, _ = self._on_plane(ray, k)

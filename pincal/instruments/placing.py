@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import lazy_loader
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.types import Array
 
@@ -50,16 +50,14 @@ def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, 
     if len(rows) < 4 or not extent.max() > _STILL:
         return None
     draw, candidates = np.random.default_rng(0), []
-    usual = None if points is None else points[often]
+    known = None if points is None else points[often]
     for _ in range(_DRAWS if len(rows) > _POSES // 4 else 1):
         drawn = draw.choice(rows, min(_POSES, max(4, len(rows) // 2)), replace=False)
-        part = _Rays(
-            T[drawn], rays[np.ix_(drawn, often)], None if points is None else points[often]
-        )
+        part = _Rays(T[drawn], rays[np.ix_(drawn, often)], known)
         cube = Rotation.create_group("O").as_rotvec()
         order = np.argsort([part.cost(turn) for turn in cube])[:_BEST]
         candidates += [part.sought(cube[place]) for place in order]
-    bundle = _Rays(T[rows], rays[np.ix_(rows, often)], usual)
+    bundle = _Rays(T[rows], rays[np.ix_(rows, often)], known)
     turn = min(candidates, key=bundle.cost)
     for _ in range(_ROUNDS):
         bundle = bundle.without(turn)
@@ -152,9 +150,8 @@ def board_in_camera(points: Array, rays: Array) -> Array | None:
     solved, turn, shift = cv2.solvePnP(points[ahead], plane, np.eye(3), None)
     if not solved:
         return None
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec(turn[:, 0]).as_matrix(), shift[:, 0]
-    return pose
+    rotation = Rotation.from_rotvec(turn[:, 0])
+    return RigidTransform.from_components(shift[:, 0], rotation).as_matrix()
 
 
 def by_hand_eye(T: Array, boards: Array) -> tuple[Array, Array]:
