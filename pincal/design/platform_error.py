@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +33,7 @@ DRAWS = 10_000
 _ROUNDING = 1e-6  # by which what is moved at one pose may differ
 
 
-@dataclass(frozen=True)
-class Unidentified:
+class Unidentified(NamedTuple):
     """Directions that were held at nominal, as the measurements do not determine them."""
 
     directions: Array

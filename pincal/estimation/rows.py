@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,7 @@ from pincal.types import Array, Index
 _OF_POSES = ("reduced", "scale", "range", "triangle", "root")  # what ``WhiteRows`` has of each pose
 
 
-@dataclass(frozen=True)
-class TurnedRows:
+class TurnedRows(NamedTuple):
     """Rows whose noise is theirs alone, among others, turned so that dof of them follow the pose.
 
     Their places, and those of their noise, are integer arrays: of others, then of theirs.
@@ -86,10 +85,8 @@ class WhiteRows:
         """Return what does so at some poses."""
         parts = {name: getattr(self, name)[poses] for name in _OF_POSES}
         if (turned := self.turned) is not None:
-            parts_of_turned = {
-                name: getattr(turned, name)[poses] for name in ("sigma", "vectors", "factors")
-            }
-            turned = replace(turned, **parts_of_turned)
+            arrays = (turned.sigma, turned.vectors, turned.factors)
+            turned = TurnedRows(turned.rows, turned.columns, *(part[poses] for part in arrays))
         return WhiteRows(**parts, turned=turned)
 
     @property

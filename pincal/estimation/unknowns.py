@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import qr
@@ -68,8 +69,7 @@ class State:
         return replace(self, matrices=self.matrices[chosen], joints=joints)
 
 
-@dataclass(frozen=True)
-class BlockRows:
+class BlockRows(NamedTuple):
     """Residuals of one block at a state: k rows at each of N poses; zero where none is active."""
 
     value: Array

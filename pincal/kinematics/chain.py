@@ -14,8 +14,9 @@ only one that is not linear: what each of the two moves is in proportion to the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -206,8 +207,7 @@ def _key(matrix: Array) -> tuple[float, ...]:
     return () if np.array_equal(matrix, np.eye(4)) else tuple(float(v) for v in matrix.ravel())
 
 
-@dataclass(frozen=True)
-class PlatformPoint:
+class PlatformPoint(NamedTuple):
     """A platform point and its frame in N rows, or in one for all; k parameters place it."""
 
     parameters: Index

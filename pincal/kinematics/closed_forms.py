@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -246,8 +247,7 @@ def _arm(columns: Array) -> Array:
     return np.cross(columns[:3, -1], columns[3:, -1])
 
 
-@dataclass(frozen=True)
-class OffsetSlide:
+class OffsetSlide(NamedTuple):
     """Where a slide passes its universal joint at a distance, as a cable its pulley's middle.
 
     In the plane through the first axis that holds the target, the slide is tangent to a circle

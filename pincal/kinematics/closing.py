@@ -10,9 +10,8 @@ the platform's home pose, which is a leg closed too.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -144,8 +143,7 @@ _CLOSED = 1e-11  # gap, of a leg's size, of what is closed
 _EXACT = 2e-15  # of a leg's size, what rounding leaves of a closed form
 
 
-@dataclass(frozen=True)
-class ClosedLegs:
+class ClosedLegs(NamedTuple):
     """L alike legs closed at N poses each, rows of each leg below those of the one before."""
 
     joints: Array

@@ -408,7 +408,7 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
         return Closure(legs[0], matrices, moved, points[0])
     parts = zip(*((point.arm, point.twists) for point in points), strict=True)  # none deforms
     arm, twists = (np.repeat(np.concatenate(part, axis=2), count, axis=2) for part in parts)
-    return Closure(legs[0], matrices, moved, replace(points[0], arm=arm, twists=twists))
+    return Closure(legs[0], matrices, moved, points[0]._replace(arm=arm, twists=twists))
 
 
 def _tree(leg: LegClosure, joints: Array, matrices: Array) -> Closure:

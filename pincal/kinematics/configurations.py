@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -142,8 +143,7 @@ def beyond_limits(leg: Leg, joints: Array) -> Mask:
         return np.asarray((joints < low) | (joints > high))
 
 
-@dataclass(frozen=True)
-class Legs:
+class Legs(NamedTuple):
     """What all legs demand at N configurations that they reach, to first order."""
 
     poses: Array

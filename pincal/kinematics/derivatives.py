@@ -7,8 +7,7 @@ reading ψ; those of the predicted reading, the identification Jacobian, are −
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,8 +84,7 @@ def _curved_step(closed: Closure, rows: Mask) -> Array:
     return -np.asarray(steps)[:, :, 0]
 
 
-@dataclass(frozen=True)
-class Demand:
+class Demand(NamedTuple):
     """Nᵀ c of one leg and its derivatives at N poses; one row where joints are as many as rows."""
 
     value: Array
@@ -192,10 +190,8 @@ def _alike_demands(
             parts.append(demands(legs, columns, *nearest_closure(legs, matrices, columns, start)))
     if len(parts) == 1:
         return parts[0]
-    return [
-        Demand(*(np.concatenate([vars(part)[name] for part in of_leg]) for name in vars(of_leg[0])))
-        for of_leg in zip(*parts, strict=True)
-    ]
+    of_legs = zip(*parts, strict=True)
+    return [Demand(*map(np.concatenate, zip(*of_leg, strict=True))) for of_leg in of_legs]
 
 
 def _predicted(legs: Sequence[LegClosure], matrices: Array, influences: Array) -> list[Demand]:
@@ -204,7 +200,7 @@ def _predicted(legs: Sequence[LegClosure], matrices: Array, influences: Array) -
     of_legs = demands(legs, known, closed.closure, closed.joints)
     if not closed.reached.all():
         for demand, reached in zip(of_legs, parted(closed.reached, len(legs)), strict=True):
-            for values in vars(demand).values():
+            for values in demand:
                 values[~reached] = np.nan
     return of_legs
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 _STEPS = 50  # of Newton's method, at most, from a position to its reading
 
 
-@dataclass(frozen=True)
-class PlacedTerm:
+class PlacedTerm(NamedTuple):
     """A term at parameter values."""
 
     term: Term

@@ -12,7 +12,7 @@ wherever and however it was measured.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -125,8 +125,7 @@ def _axes(columns: Array) -> tuple[Array, Array]:
 _TARGETS = 1e-6  # how much targets count beside parameters in what is nearest to nominal
 
 
-@dataclass(frozen=True)
-class Gauge:
+class Gauge(NamedTuple):
     """Directions that only move frames."""
 
     constraints: Array

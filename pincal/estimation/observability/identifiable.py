@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,8 +110,7 @@ def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:
     return tuple(name for name, takes_part in parts if takes_part)
 
 
-@dataclass(frozen=True)
-class HeldUnknowns:
+class HeldUnknowns(NamedTuple):
     """What measurements cannot observe and was held as near to nominal as can be."""
 
     unknowns: Unknowns

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -35,8 +36,7 @@ _TAKEN = 1e-4  # of a step's squares: parameters take up one of which they leave
 _ALIKE = 1.75  # standard errors of a correlation from row to row, above which it is one
 
 
-@dataclass(frozen=True)
-class LegResiduals:
+class LegResiduals(NamedTuple):
     """Residuals of one leg, k at a pose, c e of the conditions e there."""
 
     value: Array
