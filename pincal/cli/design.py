@@ -40,7 +40,7 @@ from pincal.design.planning import (
     with_reading_noise,
 )
 from pincal.design.simulate import Simulation
-from pincal.files.columns import Columns, columns_of, reading_columns, write_sheet
+from pincal.files.columns import Columns, columns_of, reading_columns, sheet_columns
 from pincal.files.corners import corners_of
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
@@ -128,7 +128,7 @@ def select(
         write_table(scratch[0], columns, units=units)
         if sheet is not None:
             measured = () if options.distances else measured
-            write_sheet(scratch[1], mechanism, plan, measured, setup, units)
+            write_table(scratch[1], sheet_columns(mechanism, plan, measured, setup, units))
     stdout.print(tables.selection_table(selection, mechanism.name))
     wrote(*outputs)
 

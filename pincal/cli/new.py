@@ -18,7 +18,7 @@ from pincal.architectures.new import architecture_of
 from pincal.cli.app import app, command, remark, run_step, say, stdout, working, wrote
 from pincal.cli.options import Force, Seed, named_after, output_option
 from pincal.design.order import in_rounds, with_verification
-from pincal.files.columns import columns_of, write_sheet
+from pincal.files.columns import columns_of, sheet_columns
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
@@ -95,7 +95,7 @@ def new(
         write_table(scratch / "plan.csv", columns_of(mechanism, plan), units=WRITTEN)
         if plan.readings is None:
             plan = replace(plan, readings=pincal.inverse(mechanism, plan.poses).readings)
-        write_sheet(scratch / "sheet.csv", mechanism, plan)
+        write_table(scratch / "sheet.csv", sheet_columns(mechanism, plan))
     stdout.print(mechanism.description)
     stdout.print(selection_table(chosen, mechanism.name))
     wrote(output)

@@ -261,21 +261,6 @@ def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | N
     return columns if data.runs is None else columns | {"run": data.runs}
 
 
-def write_sheet(
-    path: str | Path,
-    mechanism: Mechanism,
-    plan: Plan,
-    measured: Collection[str] | None = None,
-    setup: Setup | None = None,
-    units: Units = SI,
-) -> None:
-    """Write a measuring sheet, CSV or .xlsx: what to drive to, and empty cells to fill in.
-
-    Arguments and errors are those of ``sheet_columns``.
-    """
-    write_table(path, sheet_columns(mechanism, plan, measured, setup, units))
-
-
 def sheet_columns(
     mechanism: Mechanism,
     plan: Plan,
@@ -283,7 +268,7 @@ def sheet_columns(
     setup: Setup | None = None,
     units: Units = SI,
 ) -> Columns:
-    """Return the columns of a measuring sheet, those that are measured with empty cells.
+    """Return the columns of a measuring sheet: what to drive to, and empty cells to fill in.
 
     Args:
         mechanism: The mechanism.

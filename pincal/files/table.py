@@ -242,10 +242,7 @@ def _without_thousands(rows: list[list[str]]) -> bool:
     signs = [sign for sign, sure in _THOUSANDS.items() if any(map(sure.fullmatch, cells))]
     for sign in signs:
         grouped = re.compile(rf"[-+]?\d{{1,3}}({sign}\d{{3}})+([.,]\d+)?", re.ASCII)
-        for row in rows:
-            for place, cell in enumerate(row):
-                if grouped.fullmatch(cell.strip()):
-                    row[place] = re.sub(sign, "", cell)
+        _rewrite(rows, grouped, sign, "")
     return bool(signs)
 
 
@@ -277,11 +274,14 @@ def _with_points(rows: list[list[str]]) -> bool:
     cells = [cell.strip() for row in rows for cell in row]
     if not any(map(_DECIMAL_COMMA.fullmatch, cells)) or any(map(_DECIMAL_POINT.fullmatch, cells)):
         return False
-    for row in rows:
-        for place, cell in enumerate(row):
-            if _DECIMAL_COMMA.fullmatch(cell.strip()):
-                row[place] = cell.replace(",", ".")
+    _rewrite(rows, _DECIMAL_COMMA, ",", ".")
     return True
+
+
+def _rewrite(rows: list[list[str]], numbers: re.Pattern[str], sign: str, new: str) -> None:
+    """Write another sign in the cells of rows that are numbers of a kind."""
+    for row in rows:
+        row[:] = [re.sub(sign, new, c) if numbers.fullmatch(c.strip()) else c for c in row]
 
 
 def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:
