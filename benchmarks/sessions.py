@@ -70,12 +70,11 @@ def held(
         setup=kind.setup,
         measured=kind.measured,
         accuracy=kind.accuracy,
-        in_order=in_order,
     )
     session = Session(folder, kind.mechanism, bench.plan, options)
     counts = dict.fromkeys(("slips", "caught", "sound", "alarms"), 0)
     while not session.enough and len(session.measured) < len(bench.plan):
-        row, _ = session.next_pose()
+        row = len(session.measured) if in_order else session.next_pose()[0]
         cells = bench.entry(session.columns, row)
         determined = session.error is not None and np.isfinite(session.error.position)
         if not in_order and determined and rng.random() < 1.0 / EVERY:

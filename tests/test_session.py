@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import json
 import os
+import resource
 import sys
 import time
 from functools import cache
@@ -167,20 +167,16 @@ def test_session_goes_on_as_it_was_left(tmp_path: Path) -> None:
     assert again.error.position == pytest.approx(error.position, rel=1e-6)
 
 
-def test_full_disk_loses_nothing(begun: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_loses_nothing(begun: Session) -> None:
     """A row that the disk does not take whole is not recorded, and that is said."""
     before, row = begun.journal.path.read_bytes(), begun.next_pose()[0]
-    write = os.pwrite
-
-    def nine_bytes(file: int, data: bytes, place: int) -> int:
-        if place > len(before):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write(file, data[:9], place)
-
-    with monkeypatch.context() as full:
-        full.setattr(os, "pwrite", nine_bytes)
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 9, most))
+    try:
         with pytest.raises(pincal.FileError, match="not recorded; free some space"):
             begun.add(bench().entry(begun.columns, row))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
     assert begun.journal.path.read_bytes() == before
     assert not begun.add(bench().entry(begun.columns, row)).off
     begun.undo()
@@ -202,31 +198,64 @@ def test_any_row_can_be_undone(tmp_path: Path) -> None:
     assert Journal(tmp_path / "s", ["row", "x [mm]"]).rows == journal.rows
 
 
-@pytest.mark.slow
-def test_simulated_machine_answers_a_session(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Over TCP a session goes to its end by itself, and its promise is kept."""
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[SimulatedMachine, str]:
+    """Return a five-bar and the port at which it answers, with nobody at the keyboard."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     mechanism = pincal.load_mechanism("5R")
     truth = pincal.disturb(mechanism, seed=3)
     machine = SimulatedMachine(mechanism, truth, NOISE, pincal.Setup(), pincal.words.units.SI)
-    machine.rng, machine.slips = np.random.default_rng(1), 0.15
-    assert json.loads(machine.answer('{"leg_1 [deg]": 0}'))["trouble"].startswith("no set point of")
+    machine.rng = np.random.default_rng(1)
     ports: list[str] = []
     monkeypatch.setattr("pincal.cli.machine.say", ports.append)
     Thread(target=serve, args=(machine, 0), daemon=True).start()
     while not ports:
         time.sleep(0.01)
-    noise = ("--noise-position", "20um", "--noise-reading", "0.01mrad", "--accuracy", "0.1mm")
-    command = ("measure", "5R", "--session", "s", "--terminal", "--tcp", ports[0], *noise)
-    outcome = done(*command)
+    return machine, ports[0]
+
+
+def unattended(port: str, accuracy: str, *plan: str) -> Any:
+    """Return the outcome of a session with a machine that answers."""
+    noise = ("--noise-position", "20um", "--noise-reading", "0.01mrad", "--accuracy", accuracy)
+    return run("measure", "5R", "--session", "s", "--terminal", "--tcp", port, *noise, *plan)
+
+
+@pytest.mark.slow
+def test_simulated_machine_answers_a_session(machine: tuple[SimulatedMachine, str]) -> None:
+    """Over TCP a session goes to its end by itself, and its promise is kept."""
+    simulated, port = machine
+    simulated.slips = 0.15
+    answer = simulated.answer('{"leg_1 [deg]": 0}')
+    assert json.loads(answer)["trouble"].startswith("no set point of")
+    outcome = unattended(port, "0.1mm")
+    assert outcome.code == 0
     assert "enough: 0.1 mm reached" in outcome.out
-    result = pincal.calibrate(mechanism, "s/rows.csv", noise=NOISE)
+    result = pincal.calibrate(simulated.mechanism, "s/rows.csv", noise=NOISE)
     assert result.promises
-    workspace = pincal.sample_configurations(mechanism, 100, 9)
-    assert pincal.accuracy(result.identified, truth, workspace).position < 1e-4
+    workspace = pincal.sample_configurations(simulated.mechanism, 100, 9)
+    assert pincal.accuracy(result.identified, simulated.truth, workspace).position < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("poses", "drift", "end"),
+    [
+        (6, 0.0, "no pose of the plan is left"),
+        pytest.param(60, 3e-3, "the last 10 rows were off", marks=pytest.mark.slow),
+    ],
+)
+def test_session_with_nobody_there_ends(
+    machine: tuple[SimulatedMachine, str], poses: int, drift: float, end: str
+) -> None:
+    """Where it is never enough, or rows contradict each other, it says so: exit code 1."""
+    simulated, port = machine
+    simulated.drift = drift
+    plan = pincal.sample_configurations(simulated.mechanism, poses, 3)
+    pincal.files.table.write_table("plan.csv", columns_of(simulated.mechanism, plan))
+    outcome = unattended(port, "1um", "--plan", "plan.csv")
+    assert outcome.code == 1
+    assert f"{end}, and it is not enough" in outcome.err
+    assert "rows in s/rows.csv" in outcome.out
 
 
 def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

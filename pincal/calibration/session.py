@@ -31,7 +31,6 @@ from pincal.calibration.promise import errors_inside
 from pincal.calibration.result import CalibrationResult
 from pincal.design.next_pose import Candidates
 from pincal.design.platform_error import PlatformError
-from pincal.design.select import Goal
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.observability.indices import plausible_changes
 from pincal.estimation.problem import Linear
@@ -72,8 +71,6 @@ class SessionOptions:
     accuracy: float | None = option(
         None, "Root mean square position error that is enough [m], or as 0.05mm.", unit="m"
     )
-    goal: Goal = option("parameters", "Next poses for the parameters, or for the platform.")
-    in_order: bool = option(False, "Keep the order of the plan.")
     tolerance: Tolerance = option(
         dict,
         "How far the machine may be from its drawing, which checks the first rows better "
@@ -150,10 +147,7 @@ class Session:
         self.candidates = Candidates(
             mechanism, plan, options.noise, options.measured, setup, priors
         )
-        course = self.candidates.course(options.goal)
-        if options.in_order:
-            course = np.flatnonzero(self.candidates.offered)[: len(course)].tolist()
-        self.forecast = self.limits(course)
+        self.forecast = self.limits(self.candidates.course())
         self.journal = Journal(folder, list(self.sheet))
         self._restart()
 
@@ -165,11 +159,11 @@ class Session:
         self.checked: Checked | None = None
         self.doubtful: tuple[int, float] | None = None
         self._fits: Fits | None = None
-        self._outermost: int | None = None
+        self._outside = np.zeros(len(self.plan))
         if count := len(self.journal.rows):
             calibration = self._read()
             if count > 1:
-                self._fit(calibration.rows(np.arange(count - 1)), None)
+                self._fit(calibration.rows(np.arange(count - 1)))
             self._judge(calibration)
 
     @property
@@ -191,16 +185,17 @@ class Session:
         """
         if self.questioned:
             return self.measured[-1], 0.0
-        fresh = np.setdiff1d(np.arange(len(self.plan)), self.measured)
-        reserved = fresh[self.plan.verifying[fresh]]
+        reserved = np.setdiff1d(np.flatnonzero(self.plan.verifying), self.measured)
         if self.enough and len(reserved):
             return int(reserved[0]), 0.0
-        if self._outermost is not None:
-            return self._outermost, 0.0
-        ordered = fresh[self.candidates.offered[fresh]]
-        if self.options.in_order and len(ordered):
-            return int(ordered[0]), 0.0
-        return self.candidates.best(self.measured, self.options.goal)
+        if (row := self._outermost()) is not None:
+            return row, 0.0
+        return self.candidates.best(self.measured)
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether all poses of the plan were measured or skipped."""
+        return not self.candidates.fresh(self.measured).any()
 
     def limits(self, rows: Sequence[int]) -> list[float]:
         """Return the limit of the platform's error to expect after each of some rows, [m]."""
@@ -290,69 +285,52 @@ class Session:
 
     def _judge(self, calibration: Calibration, *, keep: bool = False) -> Checked:
         """Return the verdict on the last row; calibrate, if it is not off."""
-        self.checked, pose = self._check(calibration)
-        if keep:
-            self.checked = replace(self.checked, off=False)
+        checked = self._check(calibration)
+        self.checked = replace(checked, off=checked.off and not keep)
         if not self.checked.off:
-            self._fit(calibration, pose)
+            self._fit(calibration)
         return self.checked
 
     @one_thread()
-    def _fit(self, calibration: Calibration, pose: State | None) -> None:
-        """Calibrate; the search begins at the last fit and the pose that the new row has then."""
-        near, rows = None, np.ones(len(calibration.used), dtype=bool)
-        if self._fits is not None and pose is not None:
-            near = _with_row(self._fits, pose)
+    def _fit(self, calibration: Calibration) -> None:
+        """Calibrate; say whether it is enough."""
         self._fits = self.result = self.error = self.doubtful = None
+        self._outside[:], self.enough, self.why = 0.0, False, ""
+        workspace, wanted = self.candidates.workspace, self.options.accuracy or 0.0
         try:
-            fits = fitted(calibration, near, None if near is None else rows)
-            self.result, self.why = assemble(fits), ""
-            expected, self.error = errors_inside(self.result, self.candidates.workspace)
+            self._fits = fitted(calibration)
+            self.doubtful, self.result = _doubtful(self._fits), assemble(self._fits)
+            expected, self.error = errors_inside(self.result, workspace)
             self.share = len(self.error.std) / max(expected.poses, 1)
-            self._fits, self.doubtful = fits, _doubtful(fits)
+            if not self.error.limit[0] <= wanted:
+                return
+            if self.share < ENOUGH:
+                self._outside = np.nan_to_num(self.result.expected_error(self.plan).outside)
+            if self._outermost() is None:
+                options = replace(self._options, priors={})  # what is promised without drawings
+                result = calibrate(self.mechanism, calibration.measurements, options)
+                self.enough = errors_inside(result, workspace)[1].limit[0] <= wanted
         except (PincalError, np.linalg.LinAlgError) as error:
             self.why = str(error)
-        self._outermost = None
-        self.enough = self._within(self.error) and self._covers() and self._promised(calibration)
 
-    def _within(self, error: PlatformError | None) -> bool:
-        accuracy = self.options.accuracy
-        return error is not None and accuracy is not None and error.limit[0] <= accuracy
-
-    def _covers(self) -> bool:
-        """Return whether the measured region holds the workspace, or all poses of the plan.
-
-        Else the pose that lies farthest outside is next.
-        """
-        if self.share >= ENOUGH or self.result is None:
-            return self.result is not None
-        outside = np.nan_to_num(self.result.expected_error(self.plan).outside)
-        outside[self.measured] = outside[~self.candidates.offered] = 0.0
-        self._outermost = int(outside.argmax()) if outside.max() > 1.0 else None
-        return self._outermost is None
-
-    def _promised(self, calibration: Calibration) -> bool:
-        """Return whether ``pincal.calibrate`` promises as much of these rows, without priors."""
-        options = replace(self._options, priors={})
-        try:
-            result = calibrate(self.mechanism, calibration.measurements, options)
-        except (PincalError, np.linalg.LinAlgError):
-            return False
-        return self._within(errors_inside(result, self.candidates.workspace)[1])
+    def _outermost(self) -> int | None:
+        """Return the row of the plan farthest outside a measured region that is too small."""
+        outside = np.where(self.candidates.fresh(self.measured), self._outside, 0.0)
+        return int(outside.argmax()) if outside.max() > 1.0 else None
 
     @one_thread()
-    def _check(self, calibration: Calibration) -> tuple[Checked, State | None]:
-        """Return the verdict on the last row by what is known without it, and its pose."""
+    def _check(self, calibration: Calibration) -> Checked:
+        """Return the verdict on the last row by what is known without it."""
         row = len(calibration.measurements) - 1
         if self._fits is None and len(calibration.observation.external):
-            return Checked(row, None), None
+            return Checked(row, None)
         (square, *_), last = self._squares(calibration, [AS_MEASURED])
         equations, quantities = max(int(last.equations[0]), 1), tuple(last.problem.quantities)
         noise = np.abs(np.nan_to_num(last.noise[0, : len(quantities)]))
         quantity = last.problem.observation.named(quantities[noise.argmax()], 0)
         sigma = as_one(float(square), equations)
         if chdtrc(equations, square) >= FALSE_ALARM:
-            return Checked(row, sigma, False, quantity), last.state
+            return Checked(row, sigma, False, quantity)
         case = Case(calibration, np.array([row]))
         tried = list(faults_of_a_row(case))
         chances = chdtrc(equations, self._squares(calibration, tried)[0])
@@ -367,7 +345,7 @@ class Session:
             for place in np.argsort(-chances)[:_CAUSES]
             if chances[place] >= FALSE_ALARM
         )
-        return Checked(row, sigma, True, quantity, causes), last.state
+        return Checked(row, sigma, True, quantity, causes)
 
     def _squares(
         self, calibration: Calibration, hypotheses: Sequence[Hypothesis]
@@ -403,14 +381,6 @@ class Session:
             squares = np.full(len(r), np.inf)
             squares[known] = (r * np.linalg.solve(S[known], r[known, :, None])[:, :, 0]).sum(axis=1)
         return squares, linear
-
-
-def _with_row(fits: Fits, row: State) -> Fits:
-    """Return fits as near which others with one more row at its end are."""
-    (fit,), state = fits.fits, fits.fits[0].last.state
-    matrices = np.concatenate((state.matrices, row.matrices))
-    extended = State(state.parameters, matrices, external=state.external)
-    return replace(fits, fits=[replace(fit, last=replace(fit.last, state=extended))])
 
 
 def _at_readings(calibration: Calibration, state: State) -> State:

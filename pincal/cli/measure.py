@@ -19,7 +19,7 @@ import typer
 import pincal
 from pincal import FileError, MeasurementError, Mechanism, Noise, Setup
 from pincal.calibration.session import Session, SessionOptions
-from pincal.cli.app import command, say, stdout, warn, working
+from pincal.cli.app import command, fail, say, stdout, warn, working
 from pincal.cli.options import Mech, PlanOptions
 from pincal.design.planning import sampled, with_reading_noise
 from pincal.files.columns import columns_of
@@ -32,6 +32,7 @@ from pincal.words.numbers import percent
 
 _CANDIDATES = 500  # poses, where no plan is given
 _PATIENCE = 5.0  # seconds in which an instrument must take the call
+_OFF = 10  # rows in a row off, after which a source is asked no more
 _WAIT = 0.2  # seconds between two looks at a file that grows
 _HELP = (
     "enter what was measured, in the columns' order; readings that are left out are those "
@@ -105,7 +106,7 @@ def measure(
         pass
     finally:
         opened.journal.close()
-    say(f"{len(opened.journal.rows)} rows in {opened.journal.path}")
+        say(f"{len(opened.journal.rows)} rows in {opened.journal.path}")
 
 
 def _plan(
@@ -179,17 +180,26 @@ def _answer(stream: TextIO, points: dict[str, float]) -> str:
 
 
 def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None:
-    """Measure one pose after another, until the user leaves, or a source has given enough."""
+    """Measure one pose after another, until the user leaves, or a source has given enough.
+
+    With nobody there a row that is off is taken back, unless the one before was off as well, which
+    speaks against earlier ones; so is one that all others contradict. No pose is measured twice.
+    """
     if ask is None:
         say(_HELP)
-    chosen, repeated = None, set[int]()
+    attended, chosen, off = ask is None or sys.stdin.isatty(), None, 0
     while not (ask and session.enough and not session.doubtful):
+        if not attended and (session.questioned or session.doubtful):
+            _settle(session, keep=off > 1)
+            continue
+        if ask and not session.questioned and (session.exhausted or off >= _OFF):
+            last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
+            fail(1, f"{last}, and it is not enough")
         row, gain = session.next_pose()
         row = row if chosen is None else chosen
-        line = _decided(session, repeated) if ask and not sys.stdin.isatty() else ""
-        if not line and session.questioned:
+        if session.questioned:
             line = input("u: undo it, k: keep it > ")
-        elif not line:
+        else:
             points = _shown(session, row, gain)
             line = ask(points) if ask else input("> ")
         try:
@@ -198,6 +208,19 @@ def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None
             if ask:
                 raise
             warn(str(error))
+        off = off + 1 if session.questioned else 0
+
+
+def _settle(session: Session, *, keep: bool) -> None:
+    """Keep the row that is off, or take it or the doubtful one back and skip its pose."""
+    if session.questioned and keep:
+        session.keep()
+        return
+    place = -1 if session.questioned or not session.doubtful else session.doubtful[0]
+    row = session.measured[place]
+    session.undo(place)
+    session.skip(row)
+    say(f"row {row + 1} of the plan is taken back, and comes no more", *progress(session))
 
 
 def _taken(session: Session, line: str, row: int, pattern: str | None) -> int | None:
@@ -221,21 +244,6 @@ def _taken(session: Session, line: str, row: int, pattern: str | None) -> int | 
     return None
 
 
-def _decided(session: Session, repeated: set[int]) -> str:
-    """Return what to do with a row that is off where nobody is there; empty if none is.
-
-    A pose is measured once more: what comes twice is no slip.
-    """
-    if session.doubtful:
-        return f"u {session.doubtful[0] + 1}"
-    if not session.questioned:
-        return ""
-    row = session.measured[-1]
-    line = "k" if row in repeated else "u"
-    repeated.add(row)
-    return line
-
-
 def _shown(session: Session, row: int, gain: float) -> dict[str, float]:
     """Say what to drive to, and return it."""
     falls, points = f"; errors fall by {percent(gain)}" * (gain > 0.0), set_points(session, row)
@@ -254,7 +262,7 @@ def _on_page(session: Session, ask: Ask | None, options: SourceOptions) -> None:
     if options.open and not webbrowser.open(server.url):
         warn("no browser opened; open the address above in one")
     try:
-        while ask and not session.enough:
+        while ask and not session.enough and not session.exhausted:
             if session.questioned:  # on the page
                 time.sleep(_WAIT)
                 continue

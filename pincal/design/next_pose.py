@@ -14,9 +14,8 @@ from scipy.special import chdtri
 
 from pincal.blas import one_thread
 from pincal.design.forecast import forecast, information_rows, touching
-from pincal.design.optimal import Criterion, inverse_roots
+from pincal.design.optimal import DETERMINANT, inverse_roots
 from pincal.design.platform_error import CONFIDENCE, seen_of
-from pincal.design.select import Goal
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import legs_at
 from pincal.model.checks import ROUNDING
@@ -98,29 +97,33 @@ class Candidates:
         return float(np.sqrt(weights.sum() * chdtri(freedoms, 1.0 - CONFIDENCE) / freedoms))
 
     @one_thread()
-    def best(self, measured: Sequence[int], goal: Goal = "parameters") -> tuple[int, float]:
+    def best(self, measured: Sequence[int]) -> tuple[int, float]:
         """Return the row of the plan to measure next, and by what share errors then fall.
 
-        By no row of the plan do they fall by more: geometric mean of all unknowns, or the
-        platform's. Rows that were measured come again when no other is left.
+        By no other do they fall by more, in the geometric mean of all unknowns. Rows that were
+        measured come again when no other is left.
 
         Raises:
             MeasurementError: no row is offered.
         """
-        fresh = self.offered.copy()
-        fresh[list(measured)] = False
+        fresh = self.fresh(measured)
         places = np.flatnonzero(fresh if fresh.any() else self.offered)
         if not len(places):
             raise MeasurementError("no pose of the plan is in reach; give another plan")
-        criterion = Criterion(self._moved if goal == "platform" else None)
         root = inverse_roots(self.information(measured)[None])
-        gains = criterion.gain(self.rows[places], root)[0]
-        degree = 1 if goal == "platform" else self.rows.shape[2]
-        return int(places[gains.argmax()]), float(-np.expm1(-gains.max() / (2 * degree)))
+        gains = DETERMINANT.gain(self.rows[places], root)[0]
+        falls = -np.expm1(-gains.max() / (2 * self.rows.shape[2]))
+        return int(places[gains.argmax()]), float(falls)
 
-    def course(self, goal: Goal = "parameters") -> list[int]:
+    def fresh(self, measured: Sequence[int]) -> Mask:
+        """Return which rows are offered and were not measured, shape (N,)."""
+        fresh = self.offered.copy()
+        fresh[list(measured)] = False
+        return fresh
+
+    def course(self) -> list[int]:
         """Return rows of the plan in the order in which they will be chosen, 100 at most."""
         measured: list[int] = []
         for _ in range(min(_COURSE, int(self.offered.sum()))):
-            measured.append(self.best(measured, goal)[0])
+            measured.append(self.best(measured)[0])
         return measured
