@@ -1,6 +1,6 @@
 // Ranks what the search finds: how-tos before other pages, names and commands last.
 var Scorer = {
-  score: ([page, , , , score]) => score + (page.startsWith("how_to/") ? 5 : page.startsWith("reference/") ? -200 : 0),
+  score: ([page, , , , score]) => score + (/^(how_to\/|accuracy$)/.test(page) ? 5 : page.startsWith("reference/") ? -200 : 0),
   objNameMatch: 11,
   objPartialMatch: 6,
   objPrio: { 0: 15, 1: 5, 2: -5 },

@@ -223,8 +223,8 @@ def _held_out_row(result: CalibrationResult) -> tuple[str, dict[str, str]]:
     cells = {}
     for unit, size in held_out_errors(result).items():
         limit = np.sqrt(np.mean([target.limit**2 for target in targets if target.unit == unit]))
-        cells[unit] = f"{number(size, unit)} (with noise ≤ {number(float(limit), unit)})"
-    return f"{counted(count, f'{result.validation.kind} pose')}{along}", cells
+        cells[unit] = f"{number(size, unit)} (≤ {number(float(limit), unit)})"
+    return f"{counted(count, f'{result.validation.kind} pose')}{along}, with noise", cells
 
 
 def held_out_errors(result: CalibrationResult) -> dict[str, float]:
