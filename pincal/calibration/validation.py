@@ -111,7 +111,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         for target, values in misses_of(held, fits.parameters, fits.external).items():
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
         of_folds += sums.sum(axis=0)
-        drawn.append(_drawn(fits, held, predicted, unit, fold))
+        drawn.append(_drawn(fits, held, predicted[0][2], unit, fold))
     _, squares, unknown, equations = of_folds
     fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
     error = float(np.sqrt(squares / equations / unit))
@@ -222,43 +222,29 @@ def _sums(predicted: Sequence[tuple[Fit, Index, Linear]], count: int) -> Array:
     return sums
 
 
-def _drawn(
-    fits: Fits,
-    held: Calibration,
-    predicted: Sequence[tuple[Fit, Index, Linear]],
-    unit: float,
-    seed: int,
-) -> Misses:
+def _drawn(fits: Fits, held: Calibration, linear: Linear, unit: float, seed: int) -> Misses:
     """Return by how much targets may be missed at rows held out, (N, draws); see ``misses_of``.
 
     Readings alone place the platform there: noise, of a scale squared, and what fits do not know
     of parameters and frames go through the legs' rows to it, and from it to what was measured.
     """
-    _, _, linear = predicted[0]
     if not fits.latent:
-        problem = held.latent_problem
-        start = placed(problem, held.measurements, fits.parameters, fits.external)
-        linear = problem.evaluate(start)
-    A, B, S, random = (
-        linear.by_parameter,
-        linear.by_pose,
-        linear.noise_root,
-        np.random.default_rng(seed),
-    )
-    unknown = np.zeros((A.shape[2], _DRAWN))
+        start = placed(held.latent_problem, held.measurements, fits.parameters, fits.external)
+        linear = held.latent_problem.evaluate(start)
+    A, B, S, state = linear.by_parameter, linear.by_pose, linear.noise_root, linear.state
+    n, observation = linear.problem.leg_block.n_rows, linear.problem.observation
+    random, unknown = np.random.default_rng(seed), np.zeros((A.shape[2], _DRAWN))
     for fit, places in zip(fits.fits, fits.places, strict=True):
         centre = np.zeros(len(places))
         unknown[places] = random.multivariate_normal(centre, fit.covariance, _DRAWN, "ignore").T
-    noise = np.sqrt(unit) * random.standard_normal((len(S), S.shape[2], _DRAWN))
-    n, moved = linear.problem.leg_block.n_rows, S @ noise + A @ unknown
+    moved = np.sqrt(unit) * S @ random.standard_normal((len(S), S.shape[2], _DRAWN)) + A @ unknown
     sound = np.isfinite(B).all(axis=(1, 2)) & np.isfinite(moved).all(axis=(1, 2))
     B = np.where(sound[:, None, None], B, 0.0)
     missed = moved[:, n:] - B[:, n:] @ (np.linalg.pinv(B[:, :n]) @ moved[:, :n])
-    observation, state = linear.problem.observation, linear.state
     missed[~(observation.measured & sound[:, None])] = np.nan
-    metres = observation.metres_per_pixel(state.matrices, state.external)
     errors = missed.transpose(0, 2, 1).reshape(-1, missed.shape[1])
-    sizes = by_target(observation, errors, np.repeat(metres, _DRAWN, axis=0))
+    metres = observation.metres_per_pixel(state.matrices, state.external).repeat(_DRAWN, axis=0)
+    sizes = by_target(observation, errors, metres)
     return {target: values.reshape(-1, _DRAWN) for target, values in sizes.items()}
 
 
