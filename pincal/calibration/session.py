@@ -131,7 +131,7 @@ class Session:
             parameter.id: tolerance.get(parameter.unit, float(change))
             for parameter, change in zip(mechanism.parameters, changes, strict=True)
         }
-        self.mechanism, self.plan, self.options, self.priors = mechanism, plan, options, priors
+        self.mechanism, self.plan, self.options = mechanism, plan, options
         self._options = Options(noise=options.noise, setup=setup, priors=priors)
         columns = sheet_columns(mechanism, plan, options.measured, setup, options.units)
         influences = [name for name in mechanism.influences if name not in mechanism.followed]

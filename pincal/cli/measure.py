@@ -26,7 +26,7 @@ from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
 from pincal.files.table import write_table
 from pincal.option import option
-from pincal.show.measuring import obeyed, parameters, progress, responding, set_points
+from pincal.show.measuring import obeyed, progress, responding, set_points
 from pincal.show.view.view import PageServer
 from pincal.words.numbers import percent
 
@@ -236,7 +236,7 @@ def _taken(session: Session, line: str, row: int, pattern: str | None) -> int | 
         case ["q"]:
             raise EOFError
         case ["p"]:
-            stdout.print(parameters(session) or "nothing is known yet")
+            stdout.print(session.result.tables()[0] if session.result else "nothing is known yet")
             return row
         case ["r", number] if number.isdecimal() and 0 < int(number) <= len(session.plan):
             return int(number) - 1

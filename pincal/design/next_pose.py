@@ -18,7 +18,6 @@ from pincal.design.optimal import DETERMINANT, inverse_roots
 from pincal.design.platform_error import CONFIDENCE, seen_of
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import legs_at
-from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
@@ -73,10 +72,9 @@ class Candidates:
         gain = gain[np.isfinite(gain).all(axis=(1, 2))]
         lengths = np.array([unit == "m" for unit in units])
         G = gain[:, lengths if lengths.any() else ~lengths].reshape(-1, gain.shape[2])
-        values, axes = np.linalg.eigh(G.T @ G / len(gain))
-        moving = values > ROUNDING * values.max()
-        self._moved = np.zeros((len(unknowns), moving.sum()))  # C: tr Cᵀ M⁻¹ C is a mean square
-        self._moved[: gain.shape[2]] = axes[:, moving] * np.sqrt(values[moving])
+        half = np.linalg.qr(G / np.sqrt(len(gain)), mode="r").T
+        unmoving = len(unknowns) - len(half)
+        self._moved = np.pad(half, ((0, unmoving), (0, 0)))  # C: tr Cᵀ M⁻¹ C is a mean square
 
     def information(self, measured: Sequence[int]) -> Array:
         """Return M of priors and rows of the plan, shape (n, n)."""
@@ -124,6 +122,6 @@ class Candidates:
     def course(self) -> list[int]:
         """Return rows of the plan in the order in which they will be chosen, 100 at most."""
         measured: list[int] = []
-        for _ in range(min(_COURSE, int(self.offered.sum()))):
+        while len(measured) < _COURSE and self.fresh(measured).any():
             measured.append(self.best(measured)[0])
         return measured

@@ -18,7 +18,6 @@ from pincal.show.pictures.picture import picture
 from pincal.show.view.view import Respond
 from pincal.words.faults import causes
 from pincal.words.numbers import amount, percent
-from pincal.words.table import Table
 from pincal.words.wording import rendered
 
 _NUMBERED = 1e4  # σ from which a number of them says nothing
@@ -81,13 +80,6 @@ def progress(session: Session) -> list[str]:
         poses = counted(session.missing, "more pose")
         lines.append(f"about {poses} for {amount(accuracy, 'm')}")
     return lines
-
-
-def parameters(session: Session) -> Table | None:
-    """Return the parameters as they are known now; None while there are none."""
-    if session.result is None:
-        return None
-    return session.result.tables()[0]
 
 
 def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str, str]:
@@ -181,7 +173,8 @@ def version(session: Session) -> str:
 def state(session: Session) -> dict[str, Any]:
     """Return all that a page shows of a session."""
     row, gain = session.next_pose()
-    checked, table = session.checked, parameters(session)
+    checked, result = session.checked, session.result
+    table = None if result is None else result.tables()[0]
     names = {name: session.sheet[name][row] for name in ("set", "pose") if name in session.sheet}
     readings = set(session.mechanism.reading_names)
     points = [
