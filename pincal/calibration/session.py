@@ -209,12 +209,10 @@ class Session:
         expected = self.candidates.limit(self.measured)
         limit = np.inf if self.error is None else self.error.limit[0]
         goal = self.options.accuracy * (expected / limit if np.isfinite(limit) else 1.0)
-        limits, count = np.array(self.forecast), len(self.forecast)
-        before, after = (
-            float(np.argmax(limits <= level)) if (limits <= level).any() else beyond
-            for level in (expected, goal)
-            for beyond in [count * (limits[-1] / level) ** 2]
-        )
+        limits, levels = np.array(self.forecast), np.array([expected, goal])
+        beyond = len(limits) * (limits[-1] / levels) ** 2
+        reached = np.searchsorted(-limits, -levels)  # they fall
+        before, after = np.where(limits[-1] <= levels, reached, beyond)
         return max(1, round(after - before))
 
     def add(self, entry: Mapping[str, str], row: int | None = None) -> Checked:

@@ -72,7 +72,7 @@ class Candidates:
         gain = gain[np.isfinite(gain).all(axis=(1, 2))]
         lengths = np.array([unit == "m" for unit in units])
         G = gain[:, lengths if lengths.any() else ~lengths].reshape(-1, gain.shape[2])
-        half = np.linalg.qr(G / np.sqrt(len(gain)), mode="r").T
+        half = np.asarray(np.linalg.qr(G / np.sqrt(len(gain)), mode="r")).T
         unmoving = len(unknowns) - len(half)
         self._moved = np.pad(half, ((0, unmoving), (0, 0)))  # C: tr Cᵀ M⁻¹ C is a mean square
 
