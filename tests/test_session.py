@@ -8,6 +8,8 @@ import os
 import resource
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from threading import Thread
@@ -167,16 +169,25 @@ def test_session_goes_on_as_it_was_left(tmp_path: Path) -> None:
     assert again.error.position == pytest.approx(error.position, rel=1e-6)
 
 
+@contextmanager
+def full_disk(path: Path) -> Iterator[None]:
+    """Let no file grow to more than nine bytes above what one has."""
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 9, most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+
 def test_full_disk_loses_nothing(begun: Session) -> None:
     """A row that the disk does not take whole is not recorded, and that is said."""
     before, row = begun.journal.path.read_bytes(), begun.next_pose()[0]
-    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 9, most))
-    try:
-        with pytest.raises(pincal.FileError, match="not recorded; free some space"):
-            begun.add(bench().entry(begun.columns, row))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    with (
+        full_disk(begun.journal.path),
+        pytest.raises(pincal.FileError, match="not recorded; free some space"),
+    ):
+        begun.add(bench().entry(begun.columns, row))
     assert begun.journal.path.read_bytes() == before
     assert not begun.add(bench().entry(begun.columns, row)).off
     begun.undo()
@@ -286,5 +297,8 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     refused = run(*command, "--units", "m,rad")
     assert refused.code == 2
     assert "rows.csv has other columns than these options give" in refused.err
-    monkeypatch.setattr(sys, "stdin", io.StringIO("q\n"))
-    assert "2 rows in s/rows.csv" in done(*command).out
+    monkeypatch.setattr(sys, "stdin", io.StringIO(machine.line(columns[:3], 4) + "\nq\n"))
+    with full_disk(Path("s/rows.csv")):
+        outcome = done(*command)
+    assert "warning: not recorded; free some space and enter it again. s/rows.csv" in outcome.err
+    assert "2 rows in s/rows.csv" in outcome.out

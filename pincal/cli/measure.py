@@ -150,6 +150,8 @@ def _source(options: SourceOptions) -> Iterator[Ask | None]:
                     yield lambda points: _answer(stream, points)
         else:
             yield None
+    except FileError:
+        raise
     except OSError as error:
         raise FileError(f"{options.follow or options.tcp}: {error.strerror or error}") from error
 
@@ -204,7 +206,7 @@ def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None
             line = ask(points) if ask else input("> ")
         try:
             chosen = _taken(session, line, row, pattern)
-        except MeasurementError as error:
+        except (MeasurementError, FileError) as error:
             if ask:
                 raise
             warn(str(error))
