@@ -16,7 +16,7 @@ LINES = {
     "": 261,
     "architectures": 640,
     "calibration": 7_271,
-    "cli": 3_015,
+    "cli": 3_017,
     "design": 2_336,
     "estimation": 5_049,
     "files": 3_429,
