@@ -220,7 +220,13 @@ READERS: dict[str, tuple[str, bytes, Callable[[Path], None]]] = {
     "setup": ("setup.yaml", SETUP.encode(), read_setup),
     "result": (
         "result.json",
-        json.dumps({"pincal_result": 5, "legs": [{"name": "leg_1", "rms": 1.5e-5}], "x": [1, None]})
+        json.dumps(
+            {
+                "pincal_result": result_files.FORMAT,
+                "legs": [{"name": "leg_1", "rms": 1.5e-5}],
+                "x": [1, None],
+            }
+        )
         .replace(" ", "\n")
         .encode(),
         read_result,

@@ -32,7 +32,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.model.setup import Setup
 from pincal.types import Array, Index
-from pincal.words.numbers import amount
+from pincal.words.numbers import amount, listed
 
 ERROR = 1e-3
 """Of a machine's parameters if nothing is said: of its size, [rad], or [1]."""
@@ -53,12 +53,17 @@ def disturb(
         seed: Seed or generator.
 
     Raises:
-        MeasurementError: a negative or infinite sigma.
+        MeasurementError: a negative or infinite sigma, or one of an unknown parameter.
     """
     mechanism = as_mechanism(mechanism)
     parameters, rng = mechanism.parameters, generator_of(seed, MeasurementError)
     scales, of_lengths = np.ones(len(parameters)), mechanism.size if sigma is None else 1.0
     if isinstance(sigma, Mapping):
+        if unknown := sorted(set(map(str, sigma)) - set(parameters.ids)):
+            raise MeasurementError(
+                f"{mechanism.name!r} has no parameter {unknown[0]!r} to disturb; it has "
+                f"{listed(parameters.ids)}"
+            )
         scales, sigma = np.array([sigma.get(id_, 0.0) for id_ in parameters.ids]), 1.0
     else:
         scales[[p.unit == "m" for p in parameters]] = of_lengths
