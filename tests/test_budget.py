@@ -17,7 +17,7 @@ LINES = {
     "architectures": 640,
     "calibration": 7_271,
     "cli": 3_017,
-    "design": 2_336,
+    "design": 2_339,
     "estimation": 5_049,
     "files": 3_429,
     "formats": 3_832,
