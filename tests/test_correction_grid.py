@@ -86,11 +86,18 @@ def test_a_nominal_controller_reaches_what_it_is_sent_to(tmp_path: Path) -> None
 
 def test_what_has_no_grid_is_refused(tmp_path: Path) -> None:
     """More legs than freedoms; poses that do not determine readings; nothing is written."""
-    for name, words in (("4cable", "more legs than freedoms"), ("3RPS", "pincal.corrections")):
-        refused = run("deploy", name, "-o", tmp_path / "c", "--grid", 8)
+    for name, *typed, words in (
+        ("4cable", "--grid", 8, "more legs than freedoms"),
+        ("3RPS", "--grid", 8, "pincal.corrections"),
+        ("5R", "--grid", 8, "--controller", "3RRR", "3RRR moves x, y, phi, 5R moves x, y"),
+        ("5R", "--box", "x=0..1", "are for --grid"),
+    ):
+        refused = run("deploy", name, "-o", tmp_path / "c", *typed)
         assert refused.code == 2
         assert words in " ".join(refused.trouble.split())
         assert not (tmp_path / "c").exists()
+    with pytest.raises(pincal.MeasurementError, match="0 or more"):
+        pincal.deploy("5R", tmp_path / "c", grid=-5)
 
 
 def test_poses_of_a_program_are_corrected_for_an_arm(tmp_path: Path) -> None:

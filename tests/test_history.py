@@ -52,6 +52,16 @@ def test_noise_changes_nothing(first: pincal.CalibrationResult) -> None:
     assert changes(first, calibrated(3)) == []
 
 
+def test_a_history_needs_two_results(first: pincal.CalibrationResult, tmp_path: Path) -> None:
+    """One result that is named twice is no history; an accuracy is a number above 0."""
+    first.save(tmp_path / "2026-03")
+    assert "no history" in run("history", tmp_path, tmp_path / "2026-03").trouble
+    machine = History(("",) * 3, (date(2026, 1, 1),) * 3, (first,) * 3)
+    for accuracy in (-1e-3, np.nan, np.inf):
+        with pytest.raises(pincal.MeasurementError, match="above 0"):
+            machine.due(accuracy)
+
+
 def test_drift_is_that_of_the_machine(first: pincal.CalibrationResult) -> None:
     """The platform drifts as what was planted moves it; a check is due when that is used up."""
     daily, days = 1e-5, (0, 40, 90, 150)

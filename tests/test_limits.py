@@ -86,6 +86,8 @@ def test_a_mesh_is_kept_out_as_the_box_that_it_is(tmp_path: Path) -> None:
         ("--box", "x=1..0", "lower end"),
         ("--keep-out", "post.stl", "neither a box"),
         ("--floor", "9", "widen them"),
+        ("--floor", "nan", "finite height"),
+        ("--clearance", "-1mm", "0 or more"),
         ("--margin-tension", "9", "no 'cables'"),
     ],
 )

@@ -61,6 +61,11 @@ def test_rows_are_made_once_and_go_on_where_they_ended(tmp_path: Path) -> None:
     with pytest.raises(pincal.FileError, match="other columns"):
         add_rows(third, items, RowFile(path, {"number": int, "failure": str}), Workers(1))
     assert path.read_bytes() == text
+    for foreign in (b"a note\nwithout an end", b"a note", text + b"\n", text + b"1\n"):
+        path.write_bytes(foreign)
+        with pytest.raises(pincal.FileError, match="other columns"):
+            add_rows(third, items, file, Workers(1))
+        assert path.read_bytes() == foreign
 
 
 def test_a_study_says_first_what_calibrated_machines_reach(plan: Path, tmp_path: Path) -> None:

@@ -95,6 +95,8 @@ class History:
         By the drift and two of its standard errors, beside the error of the last calibration; None
         if there are too few calibrations.
         """
+        if not 0.0 < accuracy < np.inf:
+            raise MeasurementError(f"--accuracy {accuracy:g}: a finite number above 0 is expected")
         if self.drift is None:
             return None
         last = self.results[-1].expected_error()
@@ -156,6 +158,7 @@ def history_of(paths: Sequence[Path]) -> History:
                 "makes one"
             )
         folders += [file.parent if file.name == RESULT else file for file in inside]
+    folders = list({folder.resolve(): folder for folder in folders}.values())  # each once
     if len(folders) < 2:
         raise MeasurementError("one calibration is no history; give two or more results")
     loaded = [(_date_of(folder), folder.name, load_result(folder)) for folder in folders]

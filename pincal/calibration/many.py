@@ -34,6 +34,7 @@ FAILURE = "failure"
 """Column that says why a row has no numbers."""
 _SHARES, _LARGEST = 64, 50  # shares of the work at least, rows of a share at most
 _ROUNDING = 1e-6  # relative difference of numbers that another processor may make
+_OTHER_COLUMNS = "it has other columns than it should"
 _MISSING: Mapping[type, Any] = {str: "", float: np.nan}
 
 
@@ -53,13 +54,16 @@ class RowFile:
                 read = _extra("pyarrow.parquet").read_table
                 parts = [read(path).to_pydict() for path in sorted(self.path.glob("part-*"))]
             elif self.path.exists():
-                data = self.path.read_bytes()
-                os.truncate(self.path, end := data.rfind(b"\n") + 1)
-                lines = list(csv.reader(io.StringIO(data[:end].decode())))
-                heads = enumerate(lines[0] if lines else self.kinds)
-                parts = [{name: [line[i] for line in lines[1:]] for i, name in heads}]
+                data, heads = self.path.read_bytes(), ",".join(self.kinds).encode()
+                end = data.rfind(b"\n") + 1
+                text = (heads if heads.startswith(data) else data[:end] or data).decode()
+                first, *lines = csv.reader(io.StringIO(text))
+                if first != [*self.kinds] or any(len(line) != len(first) for line in lines):
+                    raise ValueError(_OTHER_COLUMNS)
+                os.truncate(self.path, end)  # not before it is known to be such a table
+                parts = [{name: [line[i] for line in lines] for i, name in enumerate(first)}]
             if any(list(part) != list(self.kinds) for part in parts):
-                raise ValueError("it has other columns than it should")
+                raise ValueError(_OTHER_COLUMNS)
             return {
                 name: np.array(
                     [kind(value) for part in parts for value in part[name]],
@@ -67,7 +71,7 @@ class RowFile:
                 )
                 for name, kind in self.kinds.items()
             }
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, csv.Error) as error:
             raise FileError(f"{self.path}: {error}; move it away, or name another") from error
 
     def add(self, rows: Sequence[Row]) -> None:

@@ -116,6 +116,11 @@ def _pairs(
     for line, (a, b) in enumerate(_ends(table, names, measured)):
         filled = {kind: float(column[line]) for kind, column in values.items()}
         for kind, value in ((kind, v) for kind, v in filled.items() if np.isfinite(v)):
+            if kind == "distance" and value <= 0.0:
+                raise MeasurementError(
+                    f"{table.where(line)}: the distance of rows {a} and {b} is not above 0; "
+                    "correct it (a height of b less that of a is 'dz')"
+                )
             before = first.setdefault((kind, frozenset((a, b)), abs(value)), line)
             if before != line:
                 raise MeasurementError(

@@ -27,6 +27,7 @@ from pincal.formats.deployed.files import c_header, python_file
 from pincal.formats.deployed.geometry import deltakins, genhexkins, geometry_sheet
 from pincal.formats.deployed.tables import Deployed
 from pincal.kinematics.configurations import inverse
+from pincal.model.checks import count_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
@@ -62,6 +63,7 @@ class GridOptions:
         0,
         "Correct commanded poses on a grid of so many nodes, for a controller whose geometry "
         "cannot be changed; 4096 is a good number.",
+        least=0,
         most=5000,
     )
     box: str = option("", option_of(Limits, "box"))
@@ -112,6 +114,10 @@ def deploy(
     if result is not None and not result.converged:
         raise MeasurementError("the fit did not converge, so there is no machine to deploy")
     options = GridOptions(**correction)
+    if not count_of(options.grid, "grid", MeasurementError, 0) and (
+        options.box or options.controller
+    ):
+        raise MeasurementError("--box and --controller are for --grid; give --grid 4096, too")
     frames = () if result is None else result.measured_frames
     deployed = Deployed(as_mechanism(machine) if result is None else result.identified, *frames)
     misses = ("", "")
@@ -165,6 +171,11 @@ def _with_grid(
         raise MechanismError(
             f"poses of {machine.name!r} do not determine its readings, so they have no grid of "
             "corrections; correct the poses of a program: pincal.corrections(…, controller=…)"
+        )
+    if controller.platform.coordinates != platform.coordinates:
+        raise MechanismError(
+            f"--controller {controller.name} moves {', '.join(controller.platform.coordinates)}, "
+            f"{machine.name} moves {', '.join(platform.coordinates)}; name one that moves the same"
         )
     count = 3 * options.grid + 2 * _UNSEEN
     drawn = sample_workspace(machine, count * (8 if options.box else 1))

@@ -62,9 +62,14 @@ class Limits:
         """What points stay out of: A, shape (k, 3), and b, (k,), of each body.
 
         Raises:
-            MeasurementError: a range that cannot be read.
+            MeasurementError: a range that cannot be read, or no finite height or distance.
             FileError: a mesh that cannot be read, or has no inside.
         """
+        if not np.isfinite(self.floor or 0.0) or not 0.0 <= self.clearance < np.inf:
+            raise MeasurementError(
+                f"--floor {self.floor}, --clearance {self.clearance}: a finite height is expected, "
+                "and a distance of 0 or more"
+            )
         bodies = []
         if self.floor is not None:
             bodies.append((np.array([[0.0, 0.0, 1.0]]), np.array([self.floor])))
