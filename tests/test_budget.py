@@ -24,7 +24,7 @@ LINES = {
     "instruments": 1_576,
     "kinematics": 3_684,
     "model": 3_653,
-    "show": 4_695,
+    "show": 4_697,
     "symmetry": 1_464,
     "words": 1_018,
     "workspace": 1_654,

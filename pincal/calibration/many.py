@@ -54,14 +54,8 @@ class RowFile:
                 read = _extra("pyarrow.parquet").read_table
                 parts = [read(path).to_pydict() for path in sorted(self.path.glob("part-*"))]
             elif self.path.exists():
-                data, heads = self.path.read_bytes(), ",".join(self.kinds).encode()
-                end = data.rfind(b"\n") + 1
-                text = (heads if heads.startswith(data) else data[:end] or data).decode()
-                first, *lines = csv.reader(io.StringIO(text))
-                if first != [*self.kinds] or any(len(line) != len(first) for line in lines):
-                    raise ValueError(_OTHER_COLUMNS)
-                os.truncate(self.path, end)  # not before it is known to be such a table
-                parts = [{name: [line[i] for line in lines] for i, name in enumerate(first)}]
+                lines = self._lines()
+                parts = [{name: [line[i] for line in lines] for i, name in enumerate(self.kinds)}]
             if any(list(part) != list(self.kinds) for part in parts):
                 raise ValueError(_OTHER_COLUMNS)
             return {
@@ -73,6 +67,21 @@ class RowFile:
             }
         except (OSError, ValueError, csv.Error) as error:
             raise FileError(f"{self.path}: {error}; move it away, or name another") from error
+
+    def _lines(self) -> list[list[str]]:
+        """Return the lines of a CSV file; what follows its last end of line is cut off.
+
+        Raises:
+            ValueError: it is no table with these columns, and is left as it is.
+        """
+        data, heads = self.path.read_bytes(), ",".join(self.kinds).encode()
+        end = data.rfind(b"\n") + 1
+        text = (heads if heads.startswith(data) else data[:end] or data).decode()
+        first, *lines = csv.reader(io.StringIO(text))
+        if first != [*self.kinds] or any(len(line) != len(first) for line in lines):
+            raise ValueError(_OTHER_COLUMNS)
+        os.truncate(self.path, end)
+        return lines
 
     def add(self, rows: Sequence[Row]) -> None:
         """Add rows; a file of Parquet is there whole, or not at all."""

@@ -112,15 +112,15 @@ def _pairs(
             f"file has {', '.join(table.units)}"
         )
     sigma = table.numbers("sigma", "m").tolist() if "sigma" in table else [None] * len(table.lines)
+    for line in np.flatnonzero(values.get("distance", np.empty(0)) <= 0.0):
+        raise MeasurementError(
+            f"{table.where(int(line))}: a distance is above 0; correct it (a height of row b less "
+            "that of row a is 'dz')"
+        )
     first: dict[tuple[object, ...], int] = {}
     for line, (a, b) in enumerate(_ends(table, names, measured)):
         filled = {kind: float(column[line]) for kind, column in values.items()}
         for kind, value in ((kind, v) for kind, v in filled.items() if np.isfinite(v)):
-            if kind == "distance" and value <= 0.0:
-                raise MeasurementError(
-                    f"{table.where(line)}: the distance of rows {a} and {b} is not above 0; "
-                    "correct it (a height of b less that of a is 'dz')"
-                )
             before = first.setdefault((kind, frozenset((a, b)), abs(value)), line)
             if before != line:
                 raise MeasurementError(

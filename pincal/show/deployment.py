@@ -73,6 +73,12 @@ class GridOptions:
         metavar="MECH",
     )
 
+    def __post_init__(self) -> None:
+        """Check that the grid has nodes, if it has a box or a controller."""
+        count = count_of(self.grid, "grid", MeasurementError, 0)
+        if not count and (self.box or self.controller):
+            raise MeasurementError("--box and --controller are for --grid; give --grid 4096, too")
+
 
 def deploy(
     machine: CalibrationResult | Mechanism | str | Path,
@@ -114,10 +120,6 @@ def deploy(
     if result is not None and not result.converged:
         raise MeasurementError("the fit did not converge, so there is no machine to deploy")
     options = GridOptions(**correction)
-    if not count_of(options.grid, "grid", MeasurementError, 0) and (
-        options.box or options.controller
-    ):
-        raise MeasurementError("--box and --controller are for --grid; give --grid 4096, too")
     frames = () if result is None else result.measured_frames
     deployed = Deployed(as_mechanism(machine) if result is None else result.identified, *frames)
     misses = ("", "")
