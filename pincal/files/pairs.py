@@ -112,9 +112,9 @@ def _pairs(
             f"file has {', '.join(table.units)}"
         )
     sigma = table.numbers("sigma", "m").tolist() if "sigma" in table else [None] * len(table.lines)
-    for line in np.flatnonzero(values.get("distance", np.empty(0)) <= 0.0):
+    for line in np.flatnonzero(values.get("distance", np.empty(0)) <= 0.0).tolist():
         raise MeasurementError(
-            f"{table.where(int(line))}: a distance is above 0; correct it (a height of row b less "
+            f"{table.where(line)}: a distance is above 0; correct it (a height of row b less "
             "that of row a is 'dz')"
         )
     first: dict[tuple[object, ...], int] = {}
