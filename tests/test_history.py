@@ -56,6 +56,8 @@ def test_a_history_needs_two_results(first: pincal.CalibrationResult, tmp_path: 
     """One result that is named twice is no history; an accuracy is a number above 0."""
     first.save(tmp_path / "2026-03")
     assert "no history" in run("history", tmp_path, tmp_path / "2026-03").trouble
+    first.save(tmp_path / "2026-04")
+    assert "above 0" in run("history", tmp_path, "--accuracy", "-1mm").trouble
     machine = History(("",) * 3, (date(2026, 1, 1),) * 3, (first,) * 3)
     for accuracy in (-1e-3, np.nan, np.inf):
         with pytest.raises(pincal.MeasurementError, match="above 0"):

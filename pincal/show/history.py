@@ -64,11 +64,11 @@ class HistoryPage(Page):
 
     @property
     def _due(self) -> str:
+        due = None if self.accuracy is None else self.history.due(self.accuracy)
         if self.history.drift is None:
             return "next check: too few calibrations to say, three dates at least"
         if self.accuracy is None:
             return "next check: --accuracy 0.1mm says when"
-        due = self.history.due(self.accuracy)
         if due is None or due <= self.history.dates[-1]:
             return "next check: now"
         return f"next check: not before {due:%Y-%m-%d}"
