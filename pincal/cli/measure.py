@@ -194,16 +194,11 @@ def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None
         if not attended and (session.questioned or session.doubtful):
             _settle(session, keep=off > 1)
             continue
-        if ask and not session.questioned and (session.exhausted or off >= _OFF):
-            last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
-            fail(1, f"{last}, and it is not enough")
+        if ask and not session.questioned:
+            _end_of_what_is_left(session, off)
         row, gain = session.next_pose()
         row = row if chosen is None else chosen
-        if session.questioned:
-            line = input("u: undo it, k: keep it > ")
-        else:
-            points = _shown(session, row, gain)
-            line = ask(points) if ask else input("> ")
+        line = _asked(session, row, gain, ask)
         try:
             chosen = _taken(session, line, row, pattern)
         except (MeasurementError, FileError) as error:
@@ -211,6 +206,21 @@ def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None
                 raise
             warn(str(error))
         off = off + 1 if session.questioned else 0
+
+
+def _end_of_what_is_left(session: Session, off: int) -> None:
+    """End the command if no pose is left, or too many rows in a row were off."""
+    if session.exhausted or off >= _OFF:
+        last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
+        fail(1, f"{last}, and it is not enough")
+
+
+def _asked(session: Session, row: int, gain: float, ask: Ask | None) -> str:
+    """Return what a source, or the user, answers at a row of the plan."""
+    if session.questioned:
+        return input("u: undo it, k: keep it > ")
+    points = _shown(session, row, gain)
+    return ask(points) if ask else input("> ")
 
 
 def _settle(session: Session, *, keep: bool) -> None:

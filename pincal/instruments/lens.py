@@ -65,7 +65,9 @@ class Lens:
         error = MeasurementError
         size = tuple(count_of(side, "size of an image [px]", error, 1) for side in self.size)
         if len(size) != 2:
-            raise error(f"size of an image is {self.size!r}; expected width and height in px")
+            raise MeasurementError(
+                f"size of an image is {self.size!r}; expected width and height in px"
+            )
         focal = _USUAL_FOCAL * max(size) if self.focal is None else self.focal
         pair = (focal, focal) if np.ndim(focal) == 0 else focal
         f = array_of(pair, (2,), "focal length [px]", error)

@@ -84,14 +84,18 @@ def hand_eye_misses(result: CalibrationResult) -> dict[str, float]:
     nothing without OpenCV, or where cameras see no board of known points.
     """
     data, missed = result.measurements, list[tuple[Array, Array]]()
+    cameras = [d for d in result.options.setup.instruments if isinstance(d, Camera)]
+    if not cameras:
+        return {}
     poses = forward(result.nominal, data.readings, influences=result.calibration.influences).poses
-    matrices = result.nominal.platform.matrices(poses)
-    for camera in (d for d in result.options.setup.instruments if isinstance(d, Camera)):
+    rows = np.isfinite(poses).all(axis=1)
+    matrices = result.nominal.platform.matrices(poses[rows])
+    for camera in cameras:
         values = dict(zip(camera.lens.names, camera.lens.values.tolist(), strict=True))
         values |= {p.name: p.identified for p in result.external if p.owner == camera.lens.name}
         fx, fy, cx, cy, *distortion = values.values()
         lens = Lens(camera.lens.size, (fx, fy), (cx, cy), tuple(distortion), camera.lens.fisheye)
-        pixels = np.column_stack([data.extra[column] for column in camera.columns])
+        pixels = np.column_stack([data.extra[column][rows] for column in camera.columns])
         with suppress(ModuleNotFoundError):
             if misses := replace(camera, lens=lens).by_hand_eye(matrices, pixels):
                 missed.append(misses)
