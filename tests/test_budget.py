@@ -21,7 +21,7 @@ LINES = {
     "estimation": 5_049,
     "files": 3_429,
     "formats": 3_832,
-    "instruments": 1_576,
+    "instruments": 1_578,
     "kinematics": 3_684,
     "model": 3_653,
     "show": 4_701,
