@@ -375,7 +375,7 @@ def load_result(folder: str | Path) -> CalibrationResult:
             str(result)  # all that is said of it can be said
     except Exception as error:  # what was saved raises nothing
         raise MeasurementError(
-            f"{Path(folder) / RESULT} is damaged ({type(error).__name__}: {str(error)[:100]}); "
+            f"{Path(folder) / RESULT} is damaged: not a whole result of the mechanism beside it; "
             "calibrate again, or take a copy that is whole"
         ) from error
     return result
