@@ -298,8 +298,8 @@ def _aligned(calibration: Calibration, reached: Array, good: Mask) -> Array:
 def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> Judged:
     """Return how measurements put right fit each leg at poses of shape (N, 4, 4)."""
     mechanism, platform = calibration.mechanism, calibration.mechanism.platform
-    count = len(mechanism.legs)
-    used = calibration.used & np.isfinite(matrices).all(axis=(1, 2), keepdims=True)[:, :, 0]
+    count, known = len(mechanism.legs), np.isfinite(matrices.reshape(-1, 16)).all(axis=1)
+    used = calibration.used & np.reshape(known, (-1, 1))
     rows, counts = np.flatnonzero(used.any(axis=1)), used.sum(axis=0)
     (gap, stroke), bent = np.full((2, count), np.nan), np.zeros(count, dtype=int)
     block = calibration.leg_block(range(count), rows, used[rows])
