@@ -139,7 +139,7 @@ def test_legs_demand_at_poses_of_their_own() -> None:
         found = leg_demands_at(legs, placed)
         for leg, own, one in zip(legs, placed, found, strict=True):
             (alone,) = leg_demands_at((leg,), (own,))
-            for part, values in vars(one).items():
+            for part, values in one._asdict().items():
                 assert len(values) == len(own)
                 wanted = getattr(alone, part)
                 np.testing.assert_allclose(values, wanted, rtol=0.0, atol=1e-13, err_msg=part)

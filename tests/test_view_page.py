@@ -200,7 +200,7 @@ def test_every_family_is_connected_and_on_the_screen(
     mechanism = pincal.load_mechanism(name)
     view = pincal.view(mechanism)
     window, body = opened(view), view.scene.body
-    points = list(dict.fromkeys(leg.point.name for leg in mechanism.legs))
+    points = list(dict.fromkeys(p.name for leg in mechanism.legs for p in leg.points))
     for place in range(0, len(view.scene.plan.poses), 4):
         window.slide(place)
         matrices = window.matrices(view)
