@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
+from collections.abc import Iterator
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes of pytest-xdist have the cores
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # processes that tests start compile nothing again
@@ -52,3 +55,18 @@ def selections(
         name: pincal.select_poses(pincal.load_mechanism(name), candidates[name], count)
         for name, count in counts.items()
     }
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, without a window, drawing in software."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    path = shutil.which("chromium") or shutil.which("chromium-browser")
+    if path is None:
+        pytest.skip("no chromium on this machine (apt-get install chromium)")
+    options = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    options += ["--no-sandbox"] if os.geteuid() == 0 else []
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=path, args=options)
+        yield chromium
+        chromium.close()

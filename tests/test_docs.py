@@ -161,6 +161,8 @@ def test_every_finding_is_explained() -> None:
     elsewhere |= {"chi2-too-large", "chi2-too-small", "unknown-frame"}  # codes made by choice
     elsewhere |= {"photos-shifted", "photos-turned", "board-mirrored", "boards-exchanged"}
     elsewhere |= {"camera-moved", "board-scale"}
+    constants = (node for node in nodes_of_the_source() if isinstance(node, ast.Constant))
+    assert elsewhere <= {node.value for node in constants if isinstance(node.value, str)}
     assert made() - {"nothing"} == set(WORDINGS) - elsewhere
     robot = pincal.load_mechanism("5R")
     plan = pincal.Plan(np.array([[0.1 * i - 0.3, 1.1 + 0.02 * (i % 3)] for i in range(8)]))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Lock
@@ -20,7 +18,6 @@ from pincal.calibration.session import Session, SessionOptions
 from pincal.show.measuring import responding, state, version
 from pincal.show.view.view import PageServer
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 AXE = Path(__file__).parents[1] / "node_modules" / "axe-core" / "axe.min.js"
 
 
@@ -88,19 +85,6 @@ def test_two_windows_lose_nothing(server: PageServer, session: Session, bench: B
     refused = json.loads(asked(server.url, "/state", wrong)[1])
     assert refused["count"] == 11
     assert refused["trouble"].startswith("7 numbers; expected x [mm], y [mm]")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Chromium, without a window."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("no chromium on this machine (apt-get install chromium)")
-    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
-    with sync_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield chromium
-        chromium.close()
 
 
 @pytest.mark.slow

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import re
-import shutil
 from base64 import b64decode
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import replace
 from hashlib import sha256
 from html.parser import HTMLParser
@@ -35,7 +32,6 @@ from pincal.show.report import Report
 from pincal.show.tables import parameters_table, residuals_table
 from pincal.words.findings import finding
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 EVIL = "<script>document.title='Ω'</script><b>\"é\"'&amp;$x_1$ 漢"
 NOISE = pincal.Noise(1e-4, 1e-4)
 FACTORS = {"mm": 1e3, "deg": 180 / math.pi, "": 1.0}
@@ -600,19 +596,6 @@ def test_errors_can_be_stated_over_poses_of_ones_own(work: Path) -> None:
     assert [*map(str.split, printed[:-1])] == [*map(str.split, outcome.out.splitlines()[:-1])]
     refused = run(*CALIBRATE, "--workspace", "measured.csvx", "-o", "none")
     assert (refused.code, (work / "none").exists()) == (2, False)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Chromium without a network."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("no chromium on this machine (apt-get install chromium)")
-    options = ["--no-sandbox"] if os.geteuid() == 0 else []
-    with sync_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
-        yield chromium
-        chromium.close()
 
 
 _CUT = """() => [...document.querySelectorAll("svg")].flatMap((svg) => {

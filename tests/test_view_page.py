@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -24,11 +22,6 @@ from pincal.show.view.view import View
 from pincal.words.numbers import POSES, per_si
 
 pytestmark = pytest.mark.slow
-
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-if CHROMIUM is None:
-    pytest.skip("no chromium on this machine (apt-get install chromium)", allow_module_level=True)
 
 MECHANISMS = ["5R", "3RRR", "6UPS", "4cable"]
 FAR = {
@@ -91,17 +84,6 @@ class Window:
     def clean(self) -> bool:
         """Return whether the page said nothing and asked for nothing."""
         return not self.said and not self.asked
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Chromium, drawing in software."""
-    options = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    options += ["--no-sandbox"] if os.geteuid() == 0 else []
-    with sync_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture

@@ -77,6 +77,8 @@ class StandingLeg:
         """Where the leg meets the platform, shape (n_ends, 3), [m]."""
         self.tip: Array = self.tips.mean(axis=0)
         """The middle of these, shape (3,), [m]."""
+        self.ends = [point.name for point in leg.points]
+        """Names of the platform points that it meets there."""
         turns = np.array([[joint.turns] for joint in self.joints])
         along = ((self.tip - frames[:, :3, 3]) * self.directions).sum(axis=1, keepdims=True)
         nearest = (frames[:, :3, 3] + along * self.directions) * (np.arange(3) < space)
@@ -115,14 +117,9 @@ class StandingLeg:
         return len(self.joints)
 
     @property
-    def space(self) -> int:
-        """Dimensions in which the mechanism moves."""
-        return self.closure.platform.space
-
-    @property
     def names(self) -> list[str]:
         """Names of the joints, and of the platform points behind them."""
-        return [joint.name for joint in (*self.joints, *self.closure.leg.points)]
+        return [*(joint.name for joint in self.joints), *self.ends]
 
     @property
     def closes(self) -> list[str]:
@@ -181,7 +178,8 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
     ratios = [[abs(j.leader.ratio) for j in shape.joints] for shape in (first, second)]
     yield Difference("ratios of gears", float(np.ptp(ratios, axis=0).max(initial=0.0)), "m")
     shifts = applied(element.base, np.vstack((first.points, first.tips)))
-    apart = lengths((shifts - np.vstack((second.points, second.tips)))[:, : first.space])
+    shifts = shifts - np.vstack((second.points, second.tips))
+    apart = lengths(shifts[:, : first.closure.platform.space])
     for name, shift in zip(second.names, apart.tolist(), strict=True):
         yield Difference(f"position of joint {name!r}", shift, "m")
     yield from _turns_apart(first, element.matrix, second)
