@@ -10,8 +10,7 @@ from .calibration.result_files import load_result
 from .calibration.terms.choice import Explanation
 from .design.forecast import forecast
 from .design.planning import select
-from .design.select import Selection, select_poses
-from .design.select_configurations import select_configurations
+from .design.select import Selection, select_configurations, select_poses
 from .design.simulate import accuracy, disturb, simulate
 from .errors import (
     FileError,

@@ -23,7 +23,7 @@ from pincal.design.orbits import (
     selection_group,
     smallest,
 )
-from pincal.design.select import Search, SelectionOptions
+from pincal.design.select import Search
 from pincal.kinematics.configurations import leg_demands
 
 
@@ -268,7 +268,7 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
     poses = workspace("3RRR", 150)
     found, _ = orbit_of(elements, mechanism.platform.matrices(poses))
     names = mechanism.leg_names
-    search = Search(mechanism, poses, 1, SelectionOptions())
+    search = Search(mechanism, poses, 1)
     every = block_diagonal(list(search.rows(found.reshape(1, -1, 4, 4), names)))
     (orbits,) = search.rows(found, ("leg_1",))
     common = continuous_design((every,)).bound / len(mechanism.legs)

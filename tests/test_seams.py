@@ -16,8 +16,8 @@ from scipy.stats import chi2
 
 import pincal
 from pincal.calibration.result_files import read_result
-from pincal.estimation.legs import LegBlock
 from pincal.estimation.observation import Observation
+from pincal.estimation.problem import LegBlock
 from pincal.estimation.unknowns import BlockRows, State
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure

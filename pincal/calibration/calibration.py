@@ -12,10 +12,9 @@ import numpy as np
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.components import FoundTolerance
-from pincal.estimation.legs import LegBlock
 from pincal.estimation.noise import NoiseModel, noise_model
 from pincal.estimation.observation import Observation
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import LegBlock, Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import External, State, Unknowns, unknowns
 from pincal.kinematics.configurations import planned_influences

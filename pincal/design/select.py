@@ -1,4 +1,6 @@
-"""Choosing poses to measure, for one leg and mapped to all, or for all legs at once.
+"""Choosing what to measure: poses for one leg, mapped to all, or configurations for all at once.
+
+Poses serve legs by a protocol:
 
 - ``independent``: each leg its own poses (5R paper);
 - ``symmetric``: one leg's poses, carried to the other legs of its orbit by the group (3-RRR paper,
@@ -6,6 +8,10 @@
 - ``orbits``: whole orbits of the group, so that each measured pose serves every leg;
 - ``common``: poses that are best for the parameters of all legs together (the papers'
   traditional identification).
+
+Configurations are chosen by the rows of the best estimator (see ``forecast``), whatever part of the
+platform is measured and wherever the tracker is; directions that no candidate determines are left
+out. Each choice comes with its efficiency against the bound that no choice exceeds.
 """
 
 from __future__ import annotations
@@ -20,7 +26,13 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.blas import one_thread
-from pincal.design.forecast import leg_rows
+from pincal.design.forecast import (
+    apart_from_frames,
+    information_rows,
+    leg_rows,
+    null_directions,
+    touching,
+)
 from pincal.design.optimal import Criterion, Parts, continuous_design, exchange, triangles
 from pincal.design.orbits import (
     carried_legs,
@@ -31,45 +43,33 @@ from pincal.design.orbits import (
     selection_group,
     smallest,
 )
+from pincal.design.platform_error import seen_of
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import (
+    NEGLIGIBLE,
     Identifiability,
     Indices,
     identifiability,
     indices,
     r_diagonal,
+    scaled_axes,
 )
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.closure import LegClosure, nominal_legs
-from pincal.kinematics.configurations import inverse
+from pincal.kinematics.configurations import as_plan, check_reached, inverse, legs_at
 from pincal.kinematics.derivatives import leg_demands_at
 from pincal.model.checks import count_of, described, generator_of
 from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import Setup
 from pincal.symmetry.elements import IDENTITY, Element
 from pincal.types import Array, Mask
 
 _SAMPLE = 64  # candidates on which it is looked at whether rows map
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
 Goal = Literal["parameters", "platform"]
-
-
-@dataclass(frozen=True)
-class SelectionOptions:
-    """Options of ``select_poses`` and ``select_configurations``."""
-
-    noise: Noise | None = None
-    """Standard deviations of the measurements to come; only their ratios matter."""
-    seed: int | np.random.Generator = 0
-    """Seed or generator of the random starts."""
-    starts: int = 5
-    """Number of starts of the exchange; the best result is taken."""
-
-    def __post_init__(self) -> None:
-        as_noise(self.noise)
-        count_of(self.starts, "starts", MeasurementError, 1)
-        generator_of(self.seed, MeasurementError)
 
 
 @dataclass(frozen=True)
@@ -132,16 +132,14 @@ class Selection:
 class Search:
     """Candidates that a mechanism reaches, and the best of them."""
 
-    def __init__(
-        self, mechanism: Mechanism, candidates: Array, count: int, options: SelectionOptions
-    ) -> None:
+    def __init__(self, mechanism: Mechanism, candidates: Array, count: int, **options: Any) -> None:
         """Hold the candidates that all legs reach, each once, of coordinates of shape (M, dof).
 
         Raises:
             ObservabilityError: fewer of them than the poses, or orbits, that are to be chosen.
         """
-        self.mechanism, self.count, self.options = mechanism, count, options
-        self.noise, self.rng = as_noise(options.noise), np.random.default_rng(options.seed)
+        self.mechanism, self.count = mechanism, count
+        self.noise, self.rng, self.starts = _search_options(**options)
         platform = mechanism.platform
         coordinates = platform.checked(platform.coordinates_of(candidates))
         poses = coordinates[inverse(mechanism, coordinates).reached.all(axis=1)]
@@ -170,12 +168,8 @@ class Search:
             poses, images, first = poses[originals], images[:, originals], first[:, originals]
         rows = self.rows(images, legs, first)
         r, n = (sum(part.shape[axis] for part in rows) for axis in (1, 2))
-        if self.count * r < n:
-            subject = legs[0] if len(legs) == 1 else self.mechanism.name
-            raise ObservabilityError(
-                f"{self.count} poses give {self.count * r} equations for the {n} parameters of "
-                f"{subject}; choose at least {-(-n // r)}, better two or three times as many"
-            )
+        subject = legs[0] if len(legs) == 1 else self.mechanism.name
+        _check_equations(self.count, r, n, f"parameters of {subject}")
         ranks = [
             identifiability(factor, self.mechanism.leg(leg).parameter_ids)
             for leg, factor in zip(legs, triangles(rows), strict=True)
@@ -186,17 +180,11 @@ class Search:
                 "Add poses that determine each of them, or make one of them a constant"
             )
         design = continuous_design(rows)
-        chosen, value = exchange(rows, self.count, design.priority, self.rng, self.options.starts)
+        chosen, value = exchange(rows, self.count, design.priority, self.rng, self.starts)
         efficiency = design.efficiency(value, self.count)
         if len(elements) == 1:
             return poses[chosen], efficiency
         return platform.from_matrices(images[:, chosen][first[:, chosen]]), efficiency
-
-    def efficiency(self, leg: str, element: Element, chosen: Array) -> float:
-        """Return the efficiency for a leg of chosen poses that are carried, as candidates are."""
-        matrices = map(self.mechanism.platform.matrices, (self.poses, chosen))
-        offered, taken = (self.rows(element.matrices(m)[None], (leg,)) for m in matrices)
-        return continuous_design(offered).efficiency(Criterion().value(taken), len(chosen))
 
     def rows(self, images: Array, legs: Sequence[str], first: Mask | None = None) -> Parts:
         """Return whitened rows of legs, a part for each, at images of poses, shape (E, M, 4, 4).
@@ -213,6 +201,23 @@ class Search:
                 counts &= first[:, :, None, None]
             rows[leg] = np.concatenate(np.where(counts, parts, 0.0), axis=1)
         return tuple(rows[leg] for leg in legs)
+
+
+def _search_options(
+    noise: Noise | None = None, seed: int | np.random.Generator = 0, starts: int = 5
+) -> tuple[Noise, np.random.Generator, int]:
+    """Return the noise of measurements, the generator of random starts, and how many of these."""
+    count = count_of(starts, "starts", MeasurementError, 1)
+    return as_noise(noise), generator_of(seed, MeasurementError), count
+
+
+def _check_equations(count: int, r: int, n: int, subject: str) -> None:
+    """Raise if so many choices, of r equations each, are too few for n unknowns."""
+    if count * r < n:
+        raise ObservabilityError(
+            f"{count} poses give {count * r} equations for the {n} {subject}; choose at least "
+            f"{-(-n // r)}, better two or three times as many"
+        )
 
 
 @one_thread()
@@ -234,7 +239,8 @@ def select_poses(
             is there twice counts once, whatever its whole turns and its last digits.
         count: Poses for each leg; with ``orbits``, number of orbits; with ``common``, poses.
         protocol: See the module.
-        **options: ``noise``, ``seed``, ``starts``: see ``SelectionOptions``.
+        **options: ``noise`` of the measurements to come, of which only ratios matter; ``seed`` of
+            random starts, a number or generator; ``starts``, how many of these, the best counts.
 
     Raises:
         ObservabilityError: too few poses for the parameters, too few candidates in reach, or
@@ -256,7 +262,7 @@ def select_poses(
                 "be compared by them. Choose configurations for all parameters together: "
                 "select_configurations, or 'pincal select' without a protocol"
             )
-    search = Search(mechanism, candidates, count, SelectionOptions(**options))
+    search = Search(mechanism, candidates, count, **options)
     names = mechanism.leg_names
     carried = {name: (name, IDENTITY, True) for name in names}
     if protocol in ("symmetric", "orbits"):
@@ -289,7 +295,10 @@ def select_poses(
 def _leg_by_leg(
     search: Search, carried: dict[str, tuple[str, Element, bool]]
 ) -> tuple[Plan, list[float]]:
-    """Return poses of each leg, its own or carried ones, and their efficiencies in order."""
+    """Return poses of each leg, its own or carried ones, and their efficiencies in order.
+
+    Carried poses whose rows do not map are judged by candidates that are carried, too.
+    """
     platform = search.mechanism.platform
     choices: dict[str, tuple[Array, float]] = {}
     poses, efficiencies = [], []
@@ -298,8 +307,89 @@ def _leg_by_leg(
             choices[reference] = search.choose([reference])
         chosen, efficiency = choices[reference]
         poses.append(chosen if element.is_identity else element.poses(platform, chosen))
-        efficiencies.append(efficiency if equivalent else search.efficiency(leg, element, chosen))
+        if not equivalent:
+            matrices = map(platform.matrices, (search.poses, chosen))
+            offered, taken = (search.rows(element.matrices(m)[None], (leg,)) for m in matrices)
+            value = Criterion().value(taken)
+            efficiency = continuous_design(offered).efficiency(value, len(chosen))
+        efficiencies.append(efficiency)
     legs, every = np.repeat(list(carried), search.count).tolist(), np.concatenate(poses)
     unmapped = all(element.is_identity for _, element, _ in carried.values())
     plan = Plan(every, tuple(legs)) if unmapped else merged(search.mechanism, every, legs)
     return plan, efficiencies
+
+
+@one_thread()
+def select_configurations(
+    mechanism: GivenMechanism,
+    candidates: Plan | Array,
+    count: int,
+    *,
+    measured: Sequence[str] | None = None,
+    setup: Setup | None = None,
+    goal: Goal = "parameters",
+    **options: Any,
+) -> Selection:
+    """Return configurations chosen from candidates, with a certificate.
+
+    Args:
+        mechanism: The mechanism.
+        candidates: Poses of shape (M, dof), or a plan with readings; one that is there twice
+            counts once, whatever its whole turns and its last digits.
+        count: Number of configurations.
+        measured: What will be measured of the platform (see ``forecast``).
+        setup: What measured numbers will mean.
+        goal: ``"parameters"``: D-optimality. ``"platform"``: the calibrated platform's mean
+            variance over the candidates is smallest (L-optimality), of its position and, times
+            the radius at which its legs hold it, its orientation.
+        **options: ``noise``, ``seed``, ``starts``: as of ``select_poses``.
+
+    Raises:
+        ObservabilityError: too few configurations for what can be identified.
+        MeasurementError: unknown freedoms or goal, or measurements without noise or equations, or
+            no candidate in reach.
+    """
+    mechanism = as_mechanism(mechanism).at_reference
+    count_of(count, "count", MeasurementError, 1)
+    noise, rng, starts = _search_options(**options)
+    if goal not in get_args(Goal):
+        raise MeasurementError(f"no goal {goal!r}; expected one of {', '.join(get_args(Goal))}")
+    plan = as_plan(mechanism, candidates)
+    originals = distinct(mechanism.platform, plan.poses, plan.readings)
+    setup = read_setup(setup or Setup())
+    plan = Plan(plan.poses, readings=plan.readings, contacts=plan.contacts).rows(originals)
+    setup = setup.of_rows(plan.contacts)
+    plan = touching(mechanism, plan, setup)
+    legs = legs_at(mechanism, plan)
+    if not len(legs.poses):
+        check_reached(mechanism, plan, "the candidates")
+    if len(legs.poses) < count:
+        raise ObservabilityError(
+            f"{mechanism.name!r} reaches {len(legs.poses)} of {len(plan)} candidates, of which no "
+            f"two are alike; {count} are to be chosen. Give more candidates"
+        )
+    white, _, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
+    flat = white.reshape(-1, white.shape[2])
+    identifiable = identifiability(flat, unknowns)
+    rank, (lengths, _, axes) = identifiable.rank, scaled_axes(flat)
+    blocks = (white / lengths) @ axes[:rank].T
+    _check_equations(count, blocks.shape[1], rank, "unknowns that can be identified")
+    criterion = Criterion()
+    if goal == "platform":
+        n = legs.gain.shape[2]
+        lost = null_directions(lengths, axes, rank)[:n]
+        frames = apart_from_frames(mechanism, legs, lost, setup)[2]
+        gain, units = seen_of(mechanism, legs.poses, legs.gain, frames)
+        gain = gain[np.isfinite(gain).all(axis=(1, 2))]
+        points = [leg.targets(np.eye(4)[None])[:, :3] for leg in nominal_legs(mechanism)]
+        radius = np.sqrt((np.concatenate(points) ** 2).sum(axis=1).mean()) or mechanism.size
+        size = np.where([unit == "m" for unit in units], 1.0, radius)
+        moved = (gain * size[:, None]).reshape(-1, n) / lengths[:n] @ axes[:rank, :n].T
+        values, directions = np.linalg.eigh(moved.T @ moved)
+        moving = values > NEGLIGIBLE**2 * values.max()
+        criterion = Criterion(directions[:, moving] * np.sqrt(values[moving]))
+    design = continuous_design((blocks,), criterion)
+    chosen, value = exchange((blocks,), count, design.priority, rng, starts, criterion)
+    plan = Plan(legs.poses, readings=legs.readings, contacts=legs.contacts).rows(chosen)
+    offered = goal, design.efficiency(value, count), len(blocks)
+    return Selection(plan, count, *offered, rank=identifiable, measured=names)

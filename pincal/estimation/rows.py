@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,6 @@ from pincal.errors import MeasurementError
 from pincal.kinematics.batches import block_diagonal, product, solve
 from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
-
-_OF_POSES = ("reduced", "scale", "range", "triangle", "root")  # what ``WhiteRows`` has of each pose
 
 
 class TurnedRows(NamedTuple):
@@ -49,10 +47,11 @@ class TurnedRows(NamedTuple):
     factors: Array
     """Theirs, shape (N, dof)."""
 
-    def __call__(self, rows: Array) -> tuple[Array, Array]:
+    def __call__(self, rows: Array, poses: slice = slice(None)) -> tuple[Array, Array]:
         """Return others with dof of these below, and what is free of the pose, of (N, k, n)."""
-        turned = rows[:, self.rows[1]] / self.sigma[:, :, None]
-        for v, factor in zip(self.vectors.swapaxes(0, 1), self.factors.T, strict=True):
+        turned = rows[:, self.rows[1]] / self.sigma[poses, :, None]
+        vectors = self.vectors[poses].swapaxes(0, 1)
+        for v, factor in zip(vectors, self.factors[poses].T, strict=True):
             turned -= v[:, :, None] * (factor[:, None, None] * (v[:, None] @ turned))
         dof = self.factors.shape[1]
         return np.concatenate((rows[:, self.rows[0]], turned[:, :dof]), axis=1), turned[:, dof:]
@@ -74,20 +73,15 @@ class WhiteRows:
     """S, shape (N, k, s); these five of the others where some rows were turned."""
     turned: TurnedRows | None = None
 
-    def __call__(self, rows: Array) -> Array:
-        """Return rows freed of the pose and whitened, shape (N, m, n), from shape (N, k, n)."""
-        if self.turned is None:
-            return np.asarray(self.reduced @ rows) / self.scale
-        joined, free = self.turned(rows)
-        return np.concatenate((self.reduced @ joined / self.scale, free), axis=1)
+    def __call__(self, rows: Array, poses: slice = slice(None)) -> Array:
+        """Return rows freed of the pose and whitened, shape (N, m, n), from shape (N, k, n).
 
-    def at(self, poses: slice) -> WhiteRows:
-        """Return what does so at some poses."""
-        parts = {name: getattr(self, name)[poses] for name in _OF_POSES}
-        if (turned := self.turned) is not None:
-            arrays = (turned.sigma, turned.vectors, turned.factors)
-            turned = TurnedRows(turned.rows, turned.columns, *(part[poses] for part in arrays))
-        return WhiteRows(**parts, turned=turned)
+        Of some of the poses, if these are given.
+        """
+        if self.turned is None:
+            return np.asarray(self.reduced[poses] @ rows) / self.scale[poses]
+        joined, free = self.turned(rows, poses)
+        return np.concatenate((self.reduced[poses] @ joined / self.scale[poses], free), axis=1)
 
     @property
     def whitener(self) -> Array:
@@ -146,10 +140,8 @@ def turned_rows(
         rows: Places of the others, and of these, shapes (i,) and (j,).
         columns: Places of the noise of the others, and of these, shapes (s,) and (j,).
     """
-    (h, factors), dof = (
-        np.linalg.qr(pose[:, rows[1]] / sigma[:, :, None], mode="raw"),
-        pose.shape[2],
-    )
+    h, factors = np.linalg.qr(pose[:, rows[1]] / sigma[:, :, None], mode="raw")
+    dof = pose.shape[2]
     triangle = np.triu(h[:, :, :dof].transpose(0, 2, 1))
     vectors = np.triu(h, 1)
     vectors[:, range(dof), range(dof)] = 1.0
@@ -177,12 +169,13 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     finite = np.asarray(np.isfinite(columns).all(axis=(1, 2)))
     if not finite.all():
         rows = white_rows(pose[finite], noise[finite])
-        spread = dict[str, Any]()
-        for name in _OF_POSES:
-            part = getattr(rows, name)
-            spread[name] = np.full((len(finite), *part.shape[1:]), np.nan)
-            spread[name][finite] = part
-        return WhiteRows(**spread)
+        reduced, scale, basis, triangle, root = (
+            np.full((len(finite), *part.shape[1:]), np.nan)
+            for part in (rows.reduced, rows.scale, rows.range, rows.triangle, rows.root)
+        )
+        reduced[finite], scale[finite], root[finite] = rows.reduced, rows.scale, rows.root
+        basis[finite], triangle[finite] = rows.range, rows.triangle
+        return WhiteRows(reduced, scale, basis, triangle, root)
     dof = pose.shape[2]
     Q, R = np.linalg.qr(pose, mode="complete")  # B = Q R, Q square
     N = Q[:, :, dof:].transpose(0, 2, 1)
