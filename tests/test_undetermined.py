@@ -107,3 +107,10 @@ def test_what_was_held_is_marked_wherever_it_is_shown(tmp_path: Path) -> None:
     assert shown["std"] is None
     assert np.isnan(np.array(data["covariance"], dtype=float)).all()
     assert pincal.load_result(tmp_path / "r")["leg_1.L"] == parameter
+
+
+def test_no_table_is_shown_without_errors() -> None:
+    """Where no error of the platform is known, the verdict says so, and no empty table follows."""
+    shown = str(simulated(33, few_poses))
+    assert "Not determined" in shown
+    assert "RMS error" not in shown

@@ -126,6 +126,7 @@ _CONVERTER = _converter()
 FORMAT = 6
 REPRODUCED = 1e-9
 """Of a machine's size, [m] and [rad]: within this its residuals, read back, are those reported."""
+_REMEDY = "calibrate the measurements again, or take a copy that is whole"
 RESULT, REPORT = "result.json", "report.html"
 MECHANISM, NOMINAL = "mechanism", "nominal"
 RESULT_FILES = (RESULT, "residuals.csv", "poses.csv", REPORT, MECHANISM, NOMINAL)
@@ -342,13 +343,15 @@ def read_result(folder: str | Path) -> dict[str, Any]:
             text, parse_float=_finite, parse_constant=_finite, object_pairs_hook=_once
         )
     except (ValueError, RecursionError) as error:
-        raise MeasurementError(f"{path}: not JSON as pincal writes it: {error}") from error
+        cause = str(error).partition(";")[0]
+        raise MeasurementError(f"{path} is damaged ({cause}); {_REMEDY}") from error
     if not isinstance(data, dict) or "pincal_result" not in data:
-        raise MeasurementError(f"{path}: not a result of pincal")
+        raise MeasurementError(f"{path} is not a result of pincal; {_REMEDY}")
     if data["pincal_result"] != FORMAT:
+        version = str(data.get("pincal", "of unknown version"))[:20]
         raise MeasurementError(
-            f"{path}: saved by pincal {str(data.get('pincal'))[:20]} in a format that this version "
-            "does not load; calibrate the measurements again, or load it with that version"
+            f"{path} was saved by pincal {version} in a format that this version does not load; "
+            "calibrate the measurements again, or load it with that version"
         )
     return data
 
@@ -366,7 +369,6 @@ def load_result(folder: str | Path) -> CalibrationResult:
     converter.register_structure_hook(Mechanism, lambda *_: nominal)
     try:
         with warnings.catch_warnings(action="error"):
-            contents["data"].pop("identified", None)  # of results that were saved with it
             result = converter.structure(contents["data"], CalibrationResult)
             parameters = [(p.id, p.unit) for leg in result.legs for p in leg.parameters]
             if parameters != [(p.id, p.unit) for p in nominal.parameters]:
@@ -375,7 +377,7 @@ def load_result(folder: str | Path) -> CalibrationResult:
             str(result)  # all that is said of it can be said
     except Exception as error:  # what was saved raises nothing
         raise MeasurementError(
-            f"{Path(folder) / RESULT} is damaged: not a whole result of the mechanism beside it; "
-            "calibrate again, or take a copy that is whole"
+            f"{Path(folder) / RESULT} is damaged, or was saved by another version of pincal: it is "
+            f"no whole result of the mechanism beside it; {_REMEDY}"
         ) from error
     return result

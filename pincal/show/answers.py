@@ -78,7 +78,7 @@ def answers(
     lines = [f"{capital(line)}." for line in lines]
     return [
         Answer("Is it better?", better, tone, [f"{reason}."]),
-        Answer("By how much?", _by(result, errors), "", [accuracy_table(result, errors), *lines]),
+        Answer("By how much?", _by(result, errors), "", [*accuracy_table(result, errors), *lines]),
         _reliable(result, notes),
         following,
     ]
@@ -223,7 +223,7 @@ def summary(
     if errors is None:
         return [*notes]
     lines = [*rejected_lines(result), *_limit_lines(result, errors), *_found_lines(result)]
-    return [accuracy_table(result, errors), *lines, *notes]
+    return [*accuracy_table(result, errors), *lines, *notes]
 
 
 def _found_lines(result: CalibrationResult) -> list[str]:

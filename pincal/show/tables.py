@@ -182,8 +182,8 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
     return [parameters_table(result), *outside, residuals_table(result), *cameras, *outliers]
 
 
-def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
-    """Return the platform's errors: nominal, calibrated, and as measured at poses held out.
+def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> list[Table]:
+    """Return the platform's errors, if any are known: nominal, calibrated, and at poses held out.
 
     Noise is a part of the last, and of their limit; they stand for the calibrated ones where no
     limit is stated.
@@ -204,11 +204,9 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
         by_hand_eye = hand_eye_misses(result).items()
         rows["held-out photos by hand–eye"] = {u: number(size, u) for u, size in by_hand_eye}
     units = dict.fromkeys([*errors.expected.units, *missed])
-    return Table(
-        f"RMS error{region}",
-        ["", *(f"{ERRORS[unit]} [{SMALL[unit]}]" for unit in units)],
-        [[h, *(row.get(unit) for unit in units)] for h, row in rows.items() if any(row.values())],
-    )
+    heads = ["", *(f"{ERRORS[unit]} [{SMALL[unit]}]" for unit in units)]
+    lines = [[h, *(row.get(u) for u in units)] for h, row in rows.items() if any(row.values())]
+    return [Table(f"RMS error{region}", heads, lines)] if lines else []
 
 
 def _held_out_row(result: CalibrationResult) -> tuple[str, dict[str, str]]:
