@@ -343,5 +343,5 @@ def test_what_was_held_is_not_promised_elsewhere(jitter: float) -> None:
     assert np.sqrt((off[:, :3] ** 2).sum(axis=1).mean()) < 2 * there.position
     assert np.isinf(result.expected_error(pincal.sample_configurations(arm, 20)).position)
     found = workspace_errors(result)
-    assert found.where == "over the measured poses"
+    assert found.where == "over measured poses"
     assert found.mean_after()[0] < 2e-4

@@ -153,7 +153,7 @@ def test_a_coordinate_that_is_not_measured_is_said_in_a_line(tables: Path) -> No
     given = ("--noise-position", "0.1mm", "--noise-reading", "1e-5")
     outcome = calibrated("3RRR", tables / "no_phi.csv", *given, "-o", tables / "no_phi")
     assert outcome.code == 0
-    said = "not measured: phi (forecast from the readings, not checked)"
+    said = "phi: forecast, not measured"
     assert said in " ".join(outcome.out.split())
     whole = calibrated(
         "3RRR", tables / "six.csv", *given, "--noise-orientation", "0.1mrad", "-o", tables / "six"
@@ -167,7 +167,7 @@ def test_what_is_not_determined_is_measured_next(tables: Path) -> None:
         "4cable", tables / "lines.csv", "--noise-reading", "0.1mm", "-o", tables / "cables"
     )
     assert "Not determined" in outcome.out
-    assert "not measured: x, y and z" in outcome.out
+    assert "x, y, z: forecast, not measured" in outcome.out
     (line,) = re.findall(r"next: (pincal .*)", outcome.out)
     _, command, *words = shlex.split(line)
     assert command == "select"

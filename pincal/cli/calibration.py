@@ -173,7 +173,8 @@ def calibrate(
         for part in shown:
             stdout.print(part)
     wrote(output)
-    say(f"next: {answers.next_steps(result, errors, _again, shlex.quote(str(output)))[0]}")
+    steps = answers.next_steps(result, errors, _again, shlex.quote(str(output)))
+    say(answers.next_line(steps))
     if undrawn:
         fail(3, f"exit code 3: the report could not be drawn ({undrawn}); the result is written")
     _fail_if_contradicted(result)

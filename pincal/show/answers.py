@@ -15,19 +15,20 @@ from pincal.calibration.validation import MISSES
 from pincal.errors import MechanismError
 from pincal.estimation.fit import Outlier
 from pincal.estimation.observability.identifiable import WeakPair
+from pincal.estimation.system import UNLIKELY
 from pincal.formats.delta_printer import delta_printer
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.show.misses import WorkspaceErrors
 from pincal.show.tables import ERRORS, accuracy_table, held_out_errors
 from pincal.words.findings import WORDINGS, sentence
-from pincal.words.numbers import amount, capital, listed, number, percent, rounded
+from pincal.words.numbers import amount, capital, chance, listed, number, rounded
 from pincal.words.table import Table
 from pincal.words.wording import NOISE_SOURCES, UNCOVERED, clean, named, noise_in_words
 
 _NEXT = {
     "doctor": "Find out what is wrong",
-    "calibrate": "Leave wrong rows out",
+    "calibrate": "Measure wrong rows again, or leave them out",
     "select": "Measure more poses",
     "explain": "Find out what the model lacks",
 }
@@ -43,7 +44,6 @@ _LITTLE = (
     "The correction is little larger than its uncertainty: measure more poses, or more precisely"
 )
 _NO_RESULT = "The fit did not converge: there is no calibrated mechanism."
-_NOT_YET = "Not yet reliable"
 _BEGUN = "nominal errors are with the zeros of motors as found"
 _FITTED = "best-fit frames: frames that are not known, placed where the machine is off least"
 
@@ -75,10 +75,10 @@ def answers(
     better, tone, reason = _improvement(result, errors)
     lines = _limit_lines(result, errors)
     lines += [_FITTED] * (result.moves_frames and errors.determined)
-    lines = [f"{capital(line)}." for line in lines]
+    lines, table = [f"{capital(line)}." for line in lines], accuracy_table(result, errors)
     return [
         Answer("Is it better?", better, tone, [f"{reason}."]),
-        Answer("By how much?", _by(result, errors), "", [*accuracy_table(result, errors), *lines]),
+        Answer("By how much?", _by(result, errors), "", [*table, *lines]),
         _reliable(result, notes),
         following,
     ]
@@ -109,12 +109,12 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.inside.limit])
     before, after, limit = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
     ratios = before / after
+    if max(ratios) > 1.0 and not (result.promises and result.degrees_of_freedom):
+        return "Probably", "care", "The error falls, but no limit can be stated"
     if min(ratios) >= 2.0:
         likely, least = (rounded(ratio[0]) for ratio in (ratios, before / limit))
         reason = f"The error falls by a factor of {likely} (at least {least}, with 95 % confidence)"
-        if result.promises and result.degrees_of_freedom:
-            return "Yes", "good", reason
-        return _NOT_YET, "bad", "The error falls, but no limit can be stated"
+        return "Yes", "good", reason
     if max(ratios) > 1.0:
         return "Hardly", "bad", "The correction is hardly larger than its uncertainty"
     return "No sign of it", "bad", "The correction is smaller than its own uncertainty"
@@ -139,12 +139,11 @@ def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     lines = [_noise_line(result), *check_lines(result)[:1], *_found_lines(result)]
     if result.outliers:
         lines.append(f"not fitting the others: {_rows(result.outliers)}")
-    shown, tone = "No problems found", "good"
+    shown, tone = "No problems", "good"
     if result.validation is None:
         shown, tone = "No poses were held out", "care"
-    if count := len(warnings(result)):
-        trust, tone = ("With care", "care") if result.promises else (_NOT_YET, "bad")
-        shown = f"{trust}: {counted(count, 'warning')}"
+    if warnings(result):
+        shown, tone = ("With care", "care") if result.promises else ("Not yet reliable", "bad")
     lines = [f"{capital(line)}." for line in lines]
     return Answer("Can I rely on it?", shown, tone, [[*lines, *notes]])
 
@@ -175,6 +174,12 @@ def next_steps(
     if "few-poses" in codes:
         return [f"pincal select {folder} -o PLAN.csv"]
     return _uses(result, folder) if result.promises else [again("explain")]
+
+
+def next_line(steps: Sequence[str]) -> str:
+    """Return the first of the next steps, as a terminal shows it."""
+    other = "measure again, or " * (steps[0].split()[1] == "calibrate")
+    return f"next: {other}{steps[0]}"
 
 
 def _uses(result: CalibrationResult, folder: str) -> list[str]:
@@ -211,9 +216,7 @@ def _limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str
     if not result.promises:
         return [f"no limit is stated: {unpromised(result)}"] if result.contradictions else []
     parts = [UNCOVERED[code] for code in errors.inside.uncovered]
-    if "%" in errors.where:
-        parts.insert(0, f"unmeasured {percent(1.0 - errors.share)}")
-    return [f"not covered: {', '.join(parts)}"] if parts else []
+    return [f"excluded: {', '.join(parts)}"] if parts else []
 
 
 def summary(
@@ -238,7 +241,7 @@ def _found_lines(result: CalibrationResult) -> list[str]:
     names = [name for name, lacks in zip(platform.coordinates, missing, strict=True) if lacks]
     if platform.turns == 3 and all(missing[platform.lengths :]):
         names[-3:] = ["the orientation"]
-    return [*lines, f"not measured: {listed(names)} (forecast from the readings, not checked)"]
+    return [*lines, f"{', '.join(names)}: forecast, not measured"]
 
 
 def touched_line(result: CalibrationResult) -> list[str]:
@@ -346,11 +349,11 @@ def check_lines(result: CalibrationResult) -> list[str]:
             f"{kind} rows prove nothing: the fit misses even its own rows by "
             f"{validation.fit:.3g} σ ({rows}). See the warnings first"
         ]
-    compared = (
-        f"{kind} error {validation.held_out:.2f} σ, {validation.expected:.2f} σ is expected; "
-        f"in the fit {validation.fit:.2f} σ ({rows})"
-    )
-    lines = [compared]
+    lines = [
+        f"{kind} error {validation.held_out:.2f} σ, {validation.expected:.2f} σ is expected "
+        f"({chance(validation.p_value)}, a warning below {UNLIKELY:g}); in the fit "
+        f"{validation.fit:.2f} σ ({rows})"
+    ]
     for missed in validation.targets:
         unit, (low, high) = missed.unit, missed.rms_ends
         ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if np.isfinite(high) else ""

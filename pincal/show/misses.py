@@ -151,7 +151,7 @@ class WorkspaceErrors:
     """Of the identified one, at the same poses."""
     inside: PlatformError
     """Of those poses that lie in the measured region (see ``expected_error``)."""
-    region: str = "workspace"
+    region: str = "the workspace"
     """What the poses are of, in words."""
 
     @cached_property
@@ -163,8 +163,8 @@ class WorkspaceErrors:
     def where(self) -> str:
         """Over which poses, those in the measured region, means are taken, for sentences."""
         if self.share > 1.0 - _MENTIONED:
-            return f"over the {self.region}"
-        return f"over {percent(self.share)} of the {self.region}"
+            return f"over {self.region}"
+        return f"over {percent(self.share)} of {self.region}"
 
     def mean_before(self) -> tuple[float, float]:
         """Return root mean squares of the nominal model's errors, [m] and [rad]."""
@@ -191,7 +191,7 @@ def workspace_errors(result: CalibrationResult, poses: Plan | None = None) -> Wo
     At the measured configurations if there are none, or no workspace with the default margins.
     """
     if poses is not None:
-        return errors_at(result, poses, "poses given")
+        return errors_at(result, poses, "the poses given")
     try:
         sampled = errors_at(result, sample_configurations(result.nominal, _SAMPLES))
         if sampled.expected.within.any():
@@ -202,7 +202,7 @@ def workspace_errors(result: CalibrationResult, poses: Plan | None = None) -> Wo
 
 
 def errors_at(
-    result: CalibrationResult, planned: Plan | Array, region: str = "workspace"
+    result: CalibrationResult, planned: Plan | Array, region: str = "the workspace"
 ) -> WorkspaceErrors:
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
     plan = as_plan(result.nominal, planned)

@@ -24,13 +24,13 @@ from pincal.errors import FileError, MeasurementError, WorkspaceError
 from pincal.files.measurements import read_poses
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
-from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show import answers, tables
 from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.pictures.files import page_figure
 from pincal.show.pictures.picture import picture
-from pincal.show.view.scene import MOST_POSES
+from pincal.show.view.scene import MOST_POSES, VERIFICATION
 from pincal.words.numbers import capital, reading_in
 from pincal.words.table import Table
 from pincal.words.units import SI, Units
@@ -94,9 +94,9 @@ class Report(Page):
         """The verdict, the errors and what next, as ``pincal calibrate`` prints them."""
         result, errors = self.result, self.errors
         warnings = [f"warning: {text}" for text in answers.warnings(result)]
-        step, *_ = self.steps or answers.next_steps(result, errors)
+        following = answers.next_line(self.steps or answers.next_steps(result, errors))
         first, _ = answers.verdict(result, errors)
-        return [first, *answers.summary(result, errors), *warnings, f"next: {step}"]
+        return [first, *answers.summary(result, errors), *warnings, following]
 
     def __str__(self) -> str:
         with reading_in(self.units.printed):
@@ -253,7 +253,8 @@ def _measured(result: CalibrationResult) -> dict[str, str]:
     }
     for name, values in (("sets", data.sets), ("runs", data.runs)):
         if values is not None:
-            named = Counter("fitted" if value in ("", EVERY_LEG) else value for value in values)
+            words = {"": "fitted", EVERY_LEG: "fitted", VERIFY: VERIFICATION}
+            named = Counter(words.get(value, value) for value in values)
             facts[name] = ", ".join(f"{value} {count}" for value, count in named.items())
     if result.loss != "none":
         facts["robust loss"] = result.loss

@@ -191,8 +191,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> list[T
     missed, region, rows = held_out_errors(result), "", dict[str, dict[str, str]]()
     if result.explained and errors.determined and errors.moved:
         scale = " and scale" * any(free.code == "gauge-scale" for free in result.gauge)
-        frames = f"best-fit frames{scale}" if result.moves_frames else "base frame"
-        region = f" {errors.where}, {frames}"
+        region = f" {errors.where}" + f", best-fit frames{scale}" * result.moves_frames
         sizes = zip(errors.mean_before(), errors.mean_after(), errors.inside.limit, strict=True)
         for unit, (before, after, limit) in zip(("m", "rad"), sizes, strict=True):
             below = f"{number(after, unit)} (≤ {number(limit, unit)})"
@@ -205,8 +204,8 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> list[T
         rows["held-out photos by hand–eye"] = {u: number(size, u) for u, size in by_hand_eye}
     units = dict.fromkeys([*errors.expected.units, *missed])
     heads = ["", *(f"{ERRORS[unit]} [{SMALL[unit]}]" for unit in units)]
-    lines = [[h, *(row.get(u) for u in units)] for h, row in rows.items() if any(row.values())]
-    return [Table(f"RMS error{region}", heads, lines)] if lines else []
+    cells = [[h, *map(row.get, units)] for h, row in rows.items() if any(row.values())]
+    return [Table(f"RMS error{region}", heads, cells)] if cells else []
 
 
 def _held_out_row(result: CalibrationResult) -> tuple[str, dict[str, str]]:
@@ -215,14 +214,15 @@ def _held_out_row(result: CalibrationResult) -> tuple[str, dict[str, str]]:
     targets, columns = result.validation.targets, result.options.setup.positions
     axes = [name for names in columns(result.nominal.platform).values() for name in names]
     measured = [group.name for group in result.observed if group.name in axes]
-    along = f" in {named(measured)}" if 0 < len(measured) < len(axes) else ""
-    along = along or " across lines of sight" * (not measured and "px" in result.validation.missed)
+    along = f"{named(measured)} alone, " if 0 < len(measured) < len(axes) else ""
+    if not measured and "px" in result.validation.missed:
+        along = "across lines of sight, "
     count = max(target.poses for target in targets)
     cells = {}
     for unit, size in held_out_errors(result).items():
         limit = np.sqrt(np.mean([target.limit**2 for target in targets if target.unit == unit]))
         cells[unit] = f"{number(size, unit)} (≤ {number(float(limit), unit)})"
-    return f"{counted(count, f'{result.validation.kind} pose')}{along}, with noise", cells
+    return f"{along}{counted(count, f'{result.validation.kind} pose')}, with noise", cells
 
 
 def held_out_errors(result: CalibrationResult) -> dict[str, float]:

@@ -120,11 +120,7 @@ _FILTERS = {
 
 
 #: What a promise may leave out.
-UNCOVERED = {
-    "weight": "bending",
-    "scale": "scale",
-    "time": "drift",
-}
+UNCOVERED = {"weight": "bending", "scale": "instrument scale", "time": "drift"}
 NOISE_SOURCES = {
     "given": "as given",
     "repeats": "from rows that were measured repeatedly",

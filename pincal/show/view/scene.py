@@ -19,7 +19,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares
 from pincal.kinematics.configurations import command, legs_at
 from pincal.kinematics.forward import forward
-from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.relations import ORIGIN
 from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
@@ -27,6 +27,7 @@ from pincal.show.view.bodies import Body, body
 from pincal.types import Array, Index, Mask
 
 MOST_POSES = 2000
+VERIFICATION = "verification"  # what the set "verify" is called
 _TOWARDS_VIEWER = np.array([0.45, -0.85, 0.42])  # of a mechanism in space: slightly from above
 _SEEN = 0.03  # of the scene's size: errors of a machine that are seen
 _LONG, _LONGEST = 0.08, 0.5  # of the scene's size: a long arrow; where it is cut
@@ -71,10 +72,14 @@ class Scene:
 
     @property
     def sets(self) -> tuple[str, ...]:
-        """Set of each pose: a leg's name, ``"all"`` for every leg, empty where there are none."""
+        """Set of each pose: a leg's name, ``"all"`` for every leg, ``"verification"`` for none.
+
+        Empty where there are no sets.
+        """
         if self.plan.sets is None:
             return ("",) * len(self.plan.poses)
-        return tuple(name or EVERY_LEG for name in self.plan.sets)
+        words = {"": EVERY_LEG, VERIFY: VERIFICATION}
+        return tuple(words.get(name, name) for name in self.plan.sets)
 
     @property
     def planar(self) -> bool:
