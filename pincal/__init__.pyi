@@ -3,7 +3,7 @@
 from .architectures.new import new_mechanism
 from .architectures.pulley import over_pulley
 from .calibration.calibrate import calibrate, explain
-from .calibration.montecarlo import montecarlo
+from .calibration.many import montecarlo
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result

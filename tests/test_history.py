@@ -11,6 +11,7 @@ from command_line import done, run
 
 import pincal
 from pincal.calibration.history import History, changes
+from pincal.show.many import HistoryPage
 
 NOISE = pincal.Noise(position=2e-5)
 MACHINE = pincal.load_mechanism("5R")
@@ -62,6 +63,16 @@ def test_a_history_needs_two_results(first: pincal.CalibrationResult, tmp_path: 
     for accuracy in (-1e-3, np.nan, np.inf):
         with pytest.raises(pincal.MeasurementError, match="above 0"):
             machine.due(accuracy)
+
+
+def test_where_no_limit_is_promised_there_is_none(first: pincal.CalibrationResult) -> None:
+    """A calibration whose residuals contradict the noise has no limit, and no ✓."""
+    later = pincal.calibrate(MACHINE, first.measurements, noise=pincal.Noise(position=2e-6))
+    days = date(2026, 1, 1), date(2026, 2, 1)
+    verdict, *_, table = HistoryPage(History(("a", "b"), days, (first, later))).lines
+    assert verdict.startswith("⚠ 5R")
+    assert [row[4] for row in table.cells()] == [table.cells()[0][4], "none"]
+    assert table.cells()[0][4].endswith(" mm")
 
 
 def test_drift_is_that_of_the_machine(first: pincal.CalibrationResult) -> None:

@@ -19,10 +19,10 @@ from command_line import done, run
 from scipy import stats
 
 import pincal
-from pincal.calibration.many import Row, RowFile, Workers, add_rows
-from pincal.calibration.montecarlo import MonteCarlo
+from pincal.calibration.many import MonteCarlo, Workers, add_rows
 from pincal.design.platform_error import platform_error
-from pincal.show.many import out_of_family
+from pincal.files.journal import Row, RowFile
+from pincal.show.many import out_of_family, warned_by_chance
 
 NOISE = pincal.Noise(position=2e-5, reading=1e-6)
 TYPED = ("--noise-position", "20um", "--noise-reading", "1e-6", "--tolerance", "0.1mm,1mrad,0.001")
@@ -47,7 +47,7 @@ def third(number: int) -> Row:
 def test_rows_are_made_once_and_go_on_where_they_ended(tmp_path: Path) -> None:
     """A table cut anywhere is made whole again, to the byte; failures say why, others refuse."""
     items, path = [(number,) for number in range(5)], tmp_path / "t.csv"
-    file = RowFile(path, {"number": int, "failure": str, "x": float})
+    file = RowFile(path, ["number", "failure", "x"])
     columns = add_rows(third, items, file, Workers(1))
     assert columns["failure"].tolist() == ["", "", "two is missing", "", ""]
     np.testing.assert_array_equal(columns["x"], [0.0, 1 / 3, np.nan, 1.0, 4 / 3])
@@ -59,7 +59,7 @@ def test_rows_are_made_once_and_go_on_where_they_ended(tmp_path: Path) -> None:
     with pytest.raises(pincal.FileError, match="other rows"):
         add_rows(lambda number: {"x": number / 4}, items[1:], file, Workers(1))
     with pytest.raises(pincal.FileError, match="other columns"):
-        add_rows(third, items, RowFile(path, {"number": int, "failure": str}), Workers(1))
+        add_rows(third, items, RowFile(path, ["number", "failure"]), Workers(1))
     assert path.read_bytes() == text
     for foreign in (b"a note\nwithout an end", b"a note", text + b"\n", text + b"1\n"):
         path.write_bytes(foreign)
@@ -100,6 +100,16 @@ def test_out_of_family_is_outside_the_prediction_interval_of_the_others() -> Non
                 expected.append((f"{number}.csv", p.id))
     named = [(name, text.split()[0]) for name, text in out_of_family(columns, machine)]
     assert named == expected == [("4.csv", "leg_2.l")]
+
+
+def test_a_sound_line_has_a_warning_in_one_case_of_a_hundred() -> None:
+    """Of lines of sound machines, five tests each, 1 % have one that stays; what is clear stays."""
+    p = np.random.default_rng(0).uniform(size=(4000, 8, 5)).min(axis=2)
+    p[p >= 0.01] = np.nan  # of which nothing is said
+    kept = [np.isfinite(line) & ~warned_by_chance({"p_warnings": line}) for line in p]
+    assert 0.005 < np.mean(np.any(kept, axis=1)) < 0.015
+    p[0, 3:5] = 1e-9, 0.009
+    assert warned_by_chance({"p_warnings": p[0]})[3:5].tolist() == [False, True]
 
 
 @pytest.mark.slow
@@ -214,24 +224,33 @@ def test_any_number_of_workers_gives_the_same_table(plan: Path, tmp_path: Path) 
 
 @pytest.mark.slow
 def test_killed_processes_are_done_again(plan: Path, tmp_path: Path) -> None:
-    """A worker that is killed stops nothing; a killed command goes on, to the same bytes."""
+    """A killed worker stops nothing; a killed or interrupted command goes on, to the same bytes."""
     typed = ["montecarlo", "5R", plan, *TYPED, "--machines", 40, "-o"]
     done(*typed, tmp_path / "whole.csv")
-    for victim in ("command", "worker"):
+    for victim in ("command", "worker", "interrupted"):
         table = tmp_path / f"{victim}.csv"
         words = [sys.executable, "-m", "pincal", *map(str, typed), str(table), "--workers", "2"]
-        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, start_new_session=True)
+        process = subprocess.Popen(
+            words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True
+        )
         while not table.exists() or table.read_bytes().count(b"\n") < 10:
             time.sleep(0.02)
         if victim == "command":
             os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+            process.communicate()
             assert table.read_bytes().count(b"\n") < 41
             done(*typed, table)
-        else:
+        elif victim == "worker":
             with suppress(ProcessLookupError):
                 os.kill(_worker_of(process.pid), signal.SIGKILL)
-            assert process.wait() == 0
+            process.communicate()
+            assert process.returncode == 0
+        else:
+            os.killpg(process.pid, signal.SIGINT)
+            _, remarks = process.communicate()
+            assert process.returncode == 130
+            assert f"To go on: pincal montecarlo 5R {plan} ".encode() in remarks
+            done(*typed, table)
         assert table.read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 

@@ -22,8 +22,8 @@ GROUPS = {
 }
 #: What functions return, by the module that holds it.
 RETURNED = """
-pincal.calibration.montecarlo.MonteCarlo
-pincal.calibration.montecarlo.Cost
+pincal.calibration.many.MonteCarlo
+pincal.calibration.many.Cost
 pincal.calibration.result.IdentifiedParameter
 pincal.calibration.validation.Validation
 pincal.design.forecast.Forecast

@@ -1,112 +1,47 @@
-"""Many machines, one table: rows follow from their items alone, whoever makes them, in any number.
+"""Many machines, one table: how accurate machines of given tolerances are, once calibrated.
 
-A row is made of an item, such as a machine's number, by some process or computer (joblib, Dask),
-and added to the table in the order of the items. So the table is the same however many work on it,
-and what it holds already is not made again.
+A row follows from its item alone, such as a machine's number, and rows are added in the order of
+the items: the table is the same whoever makes them (joblib's processes, Dask's computers), in any
+number, and what it holds already is not made again.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from importlib import import_module
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
-from numpy.typing import NDArray
+from numpy.random import Generator
 
-from pincal.calibration.options import Progress
-from pincal.errors import FileError, PincalError
+from pincal.attached import attached
+from pincal.calibration.calibrate import calibrate
+from pincal.calibration.options import Options, Progress
+from pincal.calibration.promise import apart
+from pincal.design.platform_error import root_mean_squares, sizes
+from pincal.design.simulate import ERROR, disturb, simulate
+from pincal.errors import FileError, MeasurementError, PincalError
+from pincal.files.journal import FAILURE, Columns, Row, RowFile, extra
+from pincal.files.measurements import as_noise, read_poses
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.model.checks import count_of
+from pincal.model.measurements import Noise, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.parameter import means
 from pincal.option import option
+from pincal.types import Array
+from pincal.workspace.sampling import sample_configurations
 
 Item = tuple[Any, ...]
-Row = dict[str, Any]
-Columns = dict[str, NDArray[Any]]
-FAILURE = "failure"
-"""Column that says why a row has no numbers."""
 _SHARES, _LARGEST = 64, 50  # shares of the work at least, rows of a share at most
 _ROUNDING = 1e-6  # relative difference of numbers that another processor may make
-_OTHER_COLUMNS = "it has other columns than it should"
-_MISSING: Mapping[type, Any] = {str: "", float: np.nan}
-
-
-@dataclass(frozen=True)
-class RowFile:
-    """A table that grows by whole rows: a CSV file, or a folder ``*.parquet`` of Parquet files."""
-
-    path: Path
-    kinds: Mapping[str, type]
-    """Of what each column holds: str, int or float."""
-
-    def read(self) -> Columns:
-        """Return all columns, without a row that a process was writing when it ended."""
-        parts: list[Mapping[str, Sequence[Any]]] = []
-        try:
-            if self.path.suffix == ".parquet":
-                read = _extra("pyarrow.parquet").read_table
-                parts = [read(path).to_pydict() for path in sorted(self.path.glob("part-*"))]
-            elif self.path.exists():
-                lines = self._lines()
-                parts = [{name: [line[i] for line in lines] for i, name in enumerate(self.kinds)}]
-            if any(list(part) != list(self.kinds) for part in parts):
-                raise ValueError(_OTHER_COLUMNS)
-            return {
-                name: np.array(
-                    [kind(value) for part in parts for value in part[name]],
-                    dtype=object if kind is str else kind,
-                )
-                for name, kind in self.kinds.items()
-            }
-        except (OSError, ValueError, csv.Error) as error:
-            raise FileError(f"{self.path}: {error}; move it away, or name another") from error
-
-    def _lines(self) -> list[list[str]]:
-        """Return the lines of a CSV file; what follows its last end of line is cut off.
-
-        Raises:
-            ValueError: it is no table with these columns, and is left as it is.
-        """
-        data, heads = self.path.read_bytes(), ",".join(self.kinds).encode()
-        end = data.rfind(b"\n") + 1
-        text = (heads if heads.startswith(data) else data[:end] or data).decode()
-        first, *lines = csv.reader(io.StringIO(text))
-        if first != [*self.kinds] or any(len(line) != len(first) for line in lines):
-            raise ValueError(_OTHER_COLUMNS)
-        os.truncate(self.path, end)
-        return lines
-
-    def add(self, rows: Sequence[Row]) -> None:
-        """Add rows; a file of Parquet is there whole, or not at all."""
-        lines = [
-            [
-                kind(row[name] if name in row else _MISSING[kind])
-                for name, kind in self.kinds.items()
-            ]
-            for row in rows
-        ]
-        try:
-            if self.path.suffix == ".parquet":
-                self.path.mkdir(parents=True, exist_ok=True)
-                part = self.path / f"part-{len(list(self.path.glob('part-*'))):06d}.parquet"
-                columns = dict(zip(self.kinds, map(list, zip(*lines, strict=True)), strict=True))
-                table = _extra("pyarrow").table(columns)
-                _extra("pyarrow.parquet").write_table(table, scratch := self.path / "new.parquet")
-                scratch.replace(part)
-                return
-            headed = self.path.exists() and self.path.stat().st_size
-            with self.path.open("a", encoding="utf-8", newline="") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerows(lines if headed else [[*self.kinds], *lines])
-        except OSError as error:
-            raise FileError(f"{self.path} cannot be written: {error}") from error
+_POSES = 200  # of the workspace, over which errors are
 
 
 @dataclass(frozen=True)
@@ -117,6 +52,28 @@ class Workers:
     scheduler: str = option(
         "", "Dask scheduler whose workers do the work.", metavar="tcp://HOST:PORT"
     )
+
+    @contextmanager
+    def parallel(self) -> Iterator[Parallel]:
+        """Yield what does the work.
+
+        Raises:
+            PincalError: no scheduler or worker answers.
+        """
+        if not self.scheduler:
+            yield Parallel(self.workers or -1, return_as="generator")
+            return
+        try:
+            client = extra("distributed").Client(self.scheduler, timeout=10, set_as_default=False)
+            client.wait_for_workers(1, timeout=30)
+        except (OSError, ValueError) as error:
+            raise PincalError(
+                f"no Dask scheduler with workers answers at {self.scheduler}: start 'dask "
+                "scheduler', and 'dask worker ADDRESS' on each computer, with pincal installed "
+                "there too"
+            ) from error
+        with client, parallel_config("dask", client=client):
+            yield Parallel(-1, return_as="generator")
 
 
 def add_rows(
@@ -140,18 +97,28 @@ def add_rows(
         FileError: the table cannot be read or written, or holds rows that are made otherwise.
         PincalError: no scheduler or worker answers, or processes end before a row is made.
     """
-    if not file.path.absolute().parent.is_dir():
-        raise FileError(f"{file.path} cannot be written: its folder does not exist")
-    waiting, keys = _without_rows(make_row, items, file), list(file.kinds)[: len(items[0])]
+    columns, keys = file.read(), file.columns[: len(items[0])]
+    places = _places(columns, keys)
+    for item in [item for item in items if item in places][:1]:
+        (row,) = _rows_of(make_row, keys, [item])  # anew: it must be as it is there
+        pairs = [(row[name], columns[name][places[item]]) for name in columns if name in row]
+        if not all(
+            v == held if isinstance(v, str) else np.isclose(v, held, _ROUNDING, 1e-12, True)
+            for v, held in pairs
+        ):
+            raise FileError(
+                f"{file.path} holds other rows: that of {item[0]} is another by this mechanism and "
+                "these options; move it away, or name another"
+            )
+    file.add([])
+    waiting = [item for item in items if item not in places]
     size = min(max(len(waiting) // _SHARES, 1), _LARGEST)
     while before := len(waiting):
         shares = [waiting[start : start + size] for start in range(0, before, size)]
         try:
-            with _backend(workers.scheduler), warnings.catch_warnings():
+            with workers.parallel() as parallel, warnings.catch_warnings():
                 warnings.filterwarnings("ignore", ".* tasks which were still being processed")
-                count = -1 if workers.scheduler else workers.workers or -1
-                made = Parallel(count, return_as="generator")
-                for rows in made(delayed(_rows_of)(make_row, keys, share) for share in shares):
+                for rows in parallel(delayed(_rows_of)(make_row, keys, share) for share in shares):
                     file.add(rows)
                     del waiting[: len(rows)]
                     if progress:
@@ -167,24 +134,15 @@ def add_rows(
     return {name: values[[places[item] for item in items]] for name, values in columns.items()}
 
 
+def error_columns(mechanism: Mechanism, last: str) -> list[str]:
+    """Return columns of errors before and after a calibration, and of what is called last."""
+    units = [unit for unit in ("m", "rad") if unit in mechanism.platform.units]
+    return [f"{name} [{unit}]" for unit in units for name in ("before", "after", last)]
+
+
 def _places(columns: Columns, keys: Sequence[str]) -> dict[Item, int]:
     """Return the place of each item's row."""
     return {item: row for row, item in enumerate(zip(*(columns[k] for k in keys), strict=True))}
-
-
-def _without_rows(make_row: Callable[..., Row], items: Sequence[Item], file: RowFile) -> list[Item]:
-    """Return items without a row; one of the others is made again, and must be as it is there."""
-    columns, keys = file.read(), list(file.kinds)[: len(items[0])]
-    places = _places(columns, keys)
-    for item in [item for item in items if item in places][:1]:
-        (row,) = _rows_of(make_row, keys, [item])
-        held = {name: values[places[item]] for name, values in columns.items() if name in row}
-        if not all(_equal(row[name], value) for name, value in held.items()):
-            raise FileError(
-                f"{file.path} holds other rows: that of {item[0]} is another by this mechanism and "
-                "these options; move it away, or name another"
-            )
-    return [item for item in items if item not in places]
 
 
 def _rows_of(make_row: Callable[..., Row], keys: Sequence[str], items: Sequence[Item]) -> list[Row]:
@@ -202,37 +160,171 @@ def _rows_of(make_row: Callable[..., Row], keys: Sequence[str], items: Sequence[
     return rows
 
 
-def _equal(value: Any, held: Any) -> bool:
-    """Return whether a number is what a table holds, but for rounding; a text the same."""
-    if isinstance(value, str):
-        return bool(value == held)
-    return bool(np.isclose(value, held, rtol=_ROUNDING, atol=1e-12, equal_nan=True))
+class Cost(NamedTuple):
+    """A tolerance of all parameters of a name: σ, and its shares of the mean square error."""
+
+    name: str
+    unit: str
+    sigma: float
+    before: float
+    after: float
 
 
-@contextmanager
-def _backend(scheduler: str) -> Iterator[None]:
-    """Let Dask's workers do the work, if a scheduler is named."""
-    if not scheduler:
-        yield
-        return
-    try:
-        client = _extra("distributed").Client(scheduler, timeout=10, set_as_default=False)
-        client.wait_for_workers(1, timeout=30)
-    except (OSError, ValueError) as error:
-        raise PincalError(
-            f"no Dask scheduler with workers answers at {scheduler}: start 'dask scheduler', and "
-            "'dask worker ADDRESS' on each computer, with pincal installed there too"
-        ) from error
-    with client, parallel_config("dask", client=client):
-        yield
+@dataclass(frozen=True, eq=False, repr=False)
+class MonteCarlo:
+    """Machines that are drawn, measured and calibrated: how far they are off, and by what."""
+
+    mechanism: Mechanism
+    plan: Plan
+    workspace: Plan
+    """Poses over which errors are root mean squares."""
+    noise: Noise
+    options: Options
+    """How they are calibrated; tolerance and priors are by how much machines differ, too."""
+    measured: Sequence[str] | None = None
+    """Freedoms of the platform that are measured; all if None."""
+    seed: int = 0
+    columns: Columns = field(default_factory=dict)
+    """A row of each machine, SI: errors before and after, true less nominal parameters."""
+    single: Columns = field(default_factory=dict)
+    """A row of each parameter: errors of a machine of which it alone is off, without noise."""
+
+    @cached_property
+    def sigmas(self) -> dict[str, float]:
+        """By how much true parameters differ from nominal, by id, one standard deviation."""
+        parameters, size = self.mechanism.parameters, self.mechanism.size
+        if not (by_name := self.options.priors_by_name(self.mechanism)):
+            return {p.id: ERROR * (size if p.unit == "m" else 1.0) for p in parameters}
+        return {
+            p.id: sigma
+            for name, sigma in by_name.items()
+            for p in parameters
+            if means(name, p.owner, p.name)
+        }
+
+    def row(self, machine: int) -> Row:
+        """Return the row of a machine, which its number alone determines.
+
+        Raises:
+            PincalError: it cannot be measured, or calibrated.
+        """
+        seeds = np.random.SeedSequence(self.seed, spawn_key=(machine,)).spawn(2)
+        drawn, noisy = map(np.random.default_rng, seeds)
+        truth = disturb(self.mechanism, self.sigmas, drawn)
+        changes = (truth.parameters.values - self.mechanism.parameters.values).tolist()
+        heads = [p.column for p in self.mechanism.parameters]
+        return self.errors(truth, self.noise, noisy) | dict(zip(heads, changes, strict=True))
+
+    def row_of(self, id_: str) -> Row:
+        """Return the row of a machine of which a parameter alone is off, measured without noise."""
+        value = self.mechanism.parameters[id_].nominal + self.sigmas[id_]
+        return self.errors(self.mechanism.with_parameters({id_: value}), Noise(0.0, 0.0, 0.0, 0.0))
+
+    def errors(self, truth: Mechanism, noise: Noise, seed: Generator | int = 0) -> Row:
+        """Return how far a true machine is off before and after it is measured and calibrated."""
+        nominal, setup, platform = self.mechanism, self.options.setup, self.mechanism.platform
+        data = simulate(nominal, truth, self.plan, noise, seed, setup).measurements
+        if self.measured is not None:
+            turned = not set(platform.freedoms[platform.lengths :]).isdisjoint(self.measured)
+            columns = zip(platform.coordinates, platform.units, strict=True)
+            reads = [turned if unit == "rad" else name in self.measured for name, unit in columns]
+            data = replace(data, poses=np.where(reads, data.poses, np.nan))
+        result = calibrate(nominal, data, self.options)
+        if not result.converged:
+            raise MeasurementError(result.message)
+        row: Row = {"poses": len(data), "chi2": result.reduced_chi2}
+        for name, model in (("before", nominal), ("after", result.identified)):
+            twists, units = apart(result, self.workspace, model, truth)
+            of_poses = sizes(units, twists)
+            means_of_kinds = root_mean_squares(of_poses)
+            for kind, unit in enumerate(("m", "rad")):
+                if unit in units:
+                    row[f"{name} [{unit}]"] = means_of_kinds[kind]
+                    row[f"worst [{unit}]"] = float(np.nanmax(of_poses[:, kind]))
+        return row
+
+    @property
+    def known(self) -> Array:
+        """Errors first told, before and after, of machines that were calibrated, (2, n)."""
+        return self._first(self.columns)[:, self.columns[FAILURE] == ""]
+
+    def _first(self, columns: Columns) -> Array:
+        unit = self.mechanism.platform.units[0]
+        return np.stack([columns[f"before [{unit}]"], columns[f"after [{unit}]"]])
+
+    def costs(self) -> list[Cost]:
+        """Return what each tolerance does, the costliest first.
+
+        By machines of which a parameter alone is off by a standard deviation: parameters are
+        independent, so that mean squares add up to first order. What they leave of that after the
+        calibration is made by the noise.
+        """
+        ids = self.single["parameter"]
+        squares, parameters = self._first(self.single) ** 2, self.mechanism.parameters
+        names = np.array([parameters[id_].name for id_ in ids])
+        totals = np.array([squares[0].sum(), np.mean(self.known[1] ** 2)])
+        costs = []
+        for name in dict.fromkeys(names):
+            group = names == name
+            sigma = float(np.sqrt(np.mean([self.sigmas[id_] ** 2 for id_ in ids[group]])))
+            shares = (squares[:, group].sum(axis=1) / totals).tolist()
+            costs.append(Cost(name, parameters[ids[group][0]].unit, sigma, *shares))
+        return sorted(costs, key=lambda cost: -cost.before)
+
+    def __repr__(self) -> str:
+        return f"MonteCarlo({self.mechanism.name!r}, {len(self.columns[FAILURE])} machines)"
+
+    @attached
+    def __str__(self) -> str:
+        """Return the verdict, how errors are distributed, and what each tolerance costs."""
 
 
-def _extra(name: str) -> Any:
-    """Return a package of the extra ``cluster``."""
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise PincalError(
-            f"{name} is not installed: python -m pip install 'pincal[cluster]'; tables named *.csv "
-            "and work without --scheduler do not need it"
-        ) from error
+def montecarlo(
+    mechanism: GivenMechanism,
+    plan: Plan | str | Path,
+    machines: int = 1000,
+    path: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: str = "",
+    **study: Any,
+) -> MonteCarlo:
+    """Return how accurate machines are that are made with tolerances, measured and calibrated.
+
+    Args:
+        mechanism: The nominal mechanism, its name or folder.
+        plan: Poses that each machine is measured at.
+        machines: How many.
+        path: Table of the machines, ``*.csv`` or ``*.parquet``; what it holds is not done again.
+        workers: Processes; as many as cores if not given.
+        scheduler: Address of a Dask scheduler, whose workers take the place of processes.
+        **study: ``options``, whose tolerance and priors are by how much machines differ, ``noise``,
+            ``workspace``, ``measured`` and ``seed``: see ``MonteCarlo``.
+
+    Raises:
+        MeasurementError: a plan, noise or options that do not suit the mechanism.
+        FileError: the table cannot be written, or holds other machines.
+        PincalError: no Dask scheduler answers.
+
+    Example:
+        >>> import pincal
+        >>> plan = pincal.sample_configurations("5R", 12)
+        >>> study = pincal.montecarlo("5R", plan, 3, noise=pincal.Noise(position=1e-4))
+        >>> study.known.shape
+        (2, 3)
+    """
+    mechanism, noise = as_mechanism(mechanism), as_noise(study.pop("noise", None))
+    asked: Options = study.pop("options", None) or Options()
+    options = replace(asked, noise=noise, progress=None)
+    plan = read_poses(plan, mechanism, setup=options.setup)
+    if (workspace := study.pop("workspace", None)) is None:
+        workspace = sample_configurations(mechanism, _POSES, study.get("seed", 0))
+    workspace, made_by = read_poses(workspace, mechanism), Workers(workers, scheduler)
+    drawn = MonteCarlo(mechanism, plan, workspace, noise, options, **study)
+    items = [(machine,) for machine in range(count_of(machines, "machines", MeasurementError, 1))]
+    names = [FAILURE, "poses", "chi2", *error_columns(mechanism, "worst")]
+    heads = ["machine", *names, *(p.column for p in mechanism.parameters)]
+    file = RowFile(Path(path) if path else None, heads)
+    columns = add_rows(drawn.row, items, file, made_by, asked.progress)
+    file = RowFile(None, ["parameter", *names])
+    single = add_rows(drawn.row_of, [(id_,) for id_ in drawn.sigmas], file, made_by)
+    return replace(drawn, columns=columns, single=single)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import Field, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -147,7 +148,7 @@ def calibrate(
         try:
             result, _, notes = run(calibration, options.folds, running.by)
         except MisfitError as error:
-            raise MisfitError(f"{error}. Run {_again('doctor')}") from error
+            raise MisfitError(f"{error}. Run {again('doctor')}") from error
         result.save(output, force=running.force)
         files = [*mechanism_files(mech), measurements]
         files += filter(None, [known.setup_file, known.pairs])
@@ -157,7 +158,7 @@ def calibrate(
             origin: dict[str, Any] = {"command": typed(), "files": files}
             page = report(result, **origin, units=known.units or "", workspace=poses)
             page.notes, errors = notes, page.errors
-            page.steps = answers.next_steps(result, errors, _again, shlex.quote(str(output)))
+            page.steps = answers.next_steps(result, errors, again, shlex.quote(str(output)))
             if running.report:
                 progress("drawing the report")
                 page.save(output / REPORT)
@@ -173,7 +174,7 @@ def calibrate(
         for part in shown:
             stdout.print(part)
     wrote(output)
-    steps = answers.next_steps(result, errors, _again, shlex.quote(str(output)))
+    steps = answers.next_steps(result, errors, again, shlex.quote(str(output)))
     say(answers.next_line(steps))
     if undrawn:
         fail(3, f"exit code 3: the report could not be drawn ({undrawn}); the result is written")
@@ -210,19 +211,25 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
         say(*explanation_lines(explanation))
     if explanation.terms:
         added = (word for term in explanation.terms for word in ("--terms", term))
-        say(f"  {_again('calibrate', *added)}")
+        say(f"  {again('calibrate', *added)}")
 
 
-def _again(command: str, *added: str, measured: tuple[Path, Path] | None = None) -> str:
+def again(
+    command: str,
+    *added: str,
+    measured: tuple[Path, Path] | None = None,
+    dropped: Sequence[Field[Any]] = (),
+) -> str:
     """Return what was typed, as another command of the same measurements.
 
     Args:
         command: ``calibrate``, ``explain`` or ``doctor``; options that it has not are left out.
         *added: Further words.
         measured: A file of measurements, and that in place of it.
+        dropped: Further options to leave out.
     """
     groups = {"explain": (CalibrateOptions,), "doctor": (CalibrateOptions, Options)}
-    dropped = [field for kind in groups.get(command, ()) for field in fields(kind)]
+    dropped = [*dropped, *(field for kind in groups.get(command, ()) for field in fields(kind))]
     flags = {typed_name(f): isinstance(f.default, bool) for f in dropped if "option" in f.metadata}
     flags |= {"quiet": True, "force": True}
     if command == "explain" or "--terms" in added:  # those that were tried
@@ -288,7 +295,7 @@ def doctor(
     else:
         stdout.print("none of these makes the measurements fit the mechanism")
         if any(remedy.result and remedy.result.converged for remedy in tries):
-            stdout.print(f"the mechanism may lack a term: {_again('explain')} looks for it")
+            stdout.print(f"the mechanism may lack a term: {again('explain')} looks for it")
     fail(1)
 
 
@@ -318,4 +325,4 @@ def _cured(remedy: Remedy, known: InputOptions, corrected: tuple[Path, Path] | N
     words += ["--unknown-target"] * (unknown_target and not as_typed.targets[ORIGIN].unknown)
     words += ["--rough"] * options.rough
     words += ["--loss", str(options.loss)] if options.loss != "none" else []
-    return _again("calibrate", *words, measured=corrected)
+    return again("calibrate", *words, measured=corrected)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -14,21 +16,42 @@ import typer
 from pincal import FileError, Noise, Options, load_mechanism, montecarlo
 from pincal.calibration.calibrate import run
 from pincal.calibration.history import history_of
-from pincal.calibration.many import FAILURE, Row, RowFile, Workers, add_rows
+from pincal.calibration.many import Workers, add_rows
 from pincal.calibration.options import By
-from pincal.cli.app import command, fail, say, stdout, typed, working, wrote
-from pincal.cli.calibration import InputOptions
+from pincal.cli.app import command, fail, say, stdout, typed, warn, working, wrote
+from pincal.cli.calibration import InputOptions, again
 from pincal.cli.options import Force, Mech, PlanOptions, TableOptions, offered, output_option
 from pincal.design.planning import with_reading_noise
+from pincal.design.simulate import ERROR
+from pincal.files.journal import FAILURE, Row, RowFile
 from pincal.files.measurements import read_poses
 from pincal.option import Option, option
-from pincal.show.history import HistoryPage
-from pincal.show.many import batch_lines, montecarlo_lines, row_kinds, row_of_result
-from pincal.words.numbers import reading_in
+from pincal.show.many import (
+    HistoryPage,
+    batch_lines,
+    montecarlo_lines,
+    row_columns,
+    row_of_result,
+)
+from pincal.words.numbers import amount, reading_in
 
 _Rows = Annotated[
     Path, output_option("TABLE", "Table with a row of each machine, .csv or .parquet.")
 ]
+_WORKSPACE = Option(
+    "Poses over which errors are stated [default: 200 of the workspace].", metavar="CSV"
+)
+
+
+@contextmanager
+def _growing(table: Path) -> Iterator[Callable[[str], None]]:
+    """Show how a table grows; Ctrl-C says how to go on."""
+    try:
+        with working("calibrating machines") as progress:
+            yield progress
+    except KeyboardInterrupt:
+        fail(130, f"stopped; {table} keeps what is done. To go on: {typed()}")
+    wrote(table)
 
 
 @dataclass(frozen=True)
@@ -36,9 +59,7 @@ class MachinesOptions(Workers, PlanOptions):
     """Which machines are drawn, and what is looked at."""
 
     machines: int = option(1000, "How many machines are drawn.", least=1)
-    workspace: Path | None = option(
-        None, "Poses over which errors are stated [default: 200 of the workspace].", metavar="CSV"
-    )
+    workspace: Path | None = option(None, _WORKSPACE)
 
 
 @command
@@ -60,10 +81,12 @@ def montecarlo_(
     goes on where it ended. Without --tolerance, parameters differ by 0.001 of the machine's size,
     or 0.001.
     """
-    mechanism = load_mechanism(mech)
-    setup = drawn.read_setup()
+    mechanism, setup = load_mechanism(mech), drawn.read_setup()
     options = replace(options, setup=setup, priors=options.priors_of(mechanism.parameters))
-    with working("calibrating machines") as progress:
+    if not options.priors_by_name(mechanism):
+        size = amount(ERROR * mechanism.size, "m").replace(" ", "")
+        warn(f"no --tolerance: machines are drawn as by --tolerance {size},1mrad,0.001")
+    with _growing(output) as progress:
         study = montecarlo(
             mechanism,
             read_poses(plan, mechanism, setup=setup),
@@ -80,8 +103,9 @@ def montecarlo_(
     with reading_in(drawn.written_in(mechanism).printed):
         for line in montecarlo_lines(study):
             stdout.print(line, soft_wrap=isinstance(line, str))
-    wrote(output)
-    say(f"next: pincal identifiability {shlex.join([mech, str(plan)])}")
+    planning = {field.name for field in fields(PlanOptions)}
+    dropped = [field for field in fields(MachinesOptions) if field.name not in planning]
+    say(f"next: {again('identifiability', dropped=(*dropped, *fields(Options)))}")
     if any(study.columns[FAILURE]):
         fail(1, "exit code 1, since machines have no result")
 
@@ -91,9 +115,7 @@ class BatchOptions(Workers):
     """What is made of each file, and by whom."""
 
     by: By = option("region", "What is held out together: regions, rows in turn, or runs.")
-    workspace: Path | None = option(
-        None, "Poses over which errors are stated [default: 200 of the workspace].", metavar="CSV"
-    )
+    workspace: Path | None = option(None, _WORKSPACE)
     results: Path | None = option(
         None, "Folder for a result of each machine, as 'pincal calibrate' writes it."
     )
@@ -108,12 +130,11 @@ def _row(
     *file: str,
 ) -> Row:
     """Return the row of a file, by its name in a folder."""
-    calibration = known.calibration(mech, folder / file[0], options)
-    result, *_ = run(calibration, options.folds, running.by)
+    result, *_ = run(known.calibration(mech, folder / file[0], options), options.folds, running.by)
     if running.results is not None:
         result.save(running.results / Path(file[0]).stem, force=True)
-    workspace = running.workspace
-    poses = None if workspace is None else read_poses(workspace, result.nominal)
+    over = running.workspace
+    poses = None if over is None else read_poses(over, result.nominal)
     return row_of_result(result, poses)
 
 
@@ -140,16 +161,16 @@ def batch(
     if running.results is not None:
         running.results.mkdir(parents=True, exist_ok=True)
     make_row = partial(_row, mech, folder, options, known, running)
-    file = RowFile(output, row_kinds(mechanism))
-    with working("calibrating machines") as progress:
+    with _growing(output) as progress:
+        file = RowFile(output, row_columns(mechanism))
         columns = add_rows(make_row, items, file, running, progress)
     with reading_in(known.written_in(mechanism).printed):
-        for line in batch_lines(columns, mechanism):
+        lines, bad = batch_lines(columns, mechanism)
+        for line in lines:
             stdout.print(line, soft_wrap=isinstance(line, str))
-    wrote(output)
-    bad = columns["file"][[text[:1] in ("", "✗") for text in columns["verdict"]]]
-    if len(bad):
-        say(f"next: pincal doctor {shlex.join([mech, str(folder / bad[0])])}")
+    if bad:
+        measured, dropped = (folder, folder / bad[0]), fields(BatchOptions)
+        say(f"next: {again('doctor', measured=measured, dropped=dropped)}")
         fail(1, "exit code 1, since machines have no result, or a bad one")
     if running.results is None:
         say(f"next: {typed()} --results RESULTS")

@@ -1,23 +1,108 @@
-"""Rows that are on disk before anybody sees them: a table in a folder that one process holds.
+"""Tables on disk that grow by whole rows: a kill at any moment leaves one state or the next.
 
-``rows.csv`` is replaced by each new state of it, which is synchronised with the disk first; what is
-undone goes to ``undone.csv`` before. A kill at any moment leaves one state or the next.
+Rows are synchronised with the disk before anybody sees them. A line without an end was seen by
+nobody, and is cut off when the table is read again.
 """
 
 from __future__ import annotations
 
 import csv
 import fcntl
+import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from pincal.errors import FileError, MeasurementError
+import numpy as np
+from numpy.typing import NDArray
+
+from pincal.errors import FileError, MeasurementError, PincalError
+
+Row = dict[str, Any]
+Columns = dict[str, NDArray[Any]]
+FAILURE = "failure"
+"""Column that says why a row has no numbers."""
+TEXTS = {"file", "sha256", "parameter", "verdict", FAILURE}
+"""Columns of a table that hold no numbers."""
+_OTHER_COLUMNS = "it has other columns than it should"
+
+
+class RowFile:
+    """A table of numbers and texts: a CSV file, a folder ``*.parquet``, or in memory (None)."""
+
+    def __init__(self, path: Path | None, columns: Sequence[str]) -> None:
+        self.path, self.columns, self._lines = path, list(columns), list[Sequence[Any]]()
+
+    def read(self) -> Columns:
+        """Return all columns, shape (N,) each.
+
+        Raises:
+            FileError: the file has other columns, or cannot be read.
+        """
+        lines = [*self._lines]
+        try:
+            if self.path and self.path.suffix == ".parquet":
+                for part in sorted(self.path.glob("part-*")):
+                    table = extra("pyarrow.parquet").read_table(part).to_pydict()
+                    if list(table) != self.columns:
+                        raise ValueError(_OTHER_COLUMNS)
+                    lines += zip(*table.values(), strict=True)
+            elif self.path:
+                lines += read_lines(self.path, self.columns)
+            cells = np.array(lines, dtype=object).reshape(-1, len(self.columns)).T
+            columns = dict(zip(self.columns, cells, strict=True))
+            return {n: v if n in TEXTS else v.astype(float) for n, v in columns.items()}
+        except (OSError, ValueError, csv.Error) as error:
+            raise FileError(f"{self.path}: {error}; move it away, or name another") from error
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Add rows; a file of Parquet is there whole, or not at all.
+
+        Raises:
+            FileError: they cannot be written.
+        """
+        blank = {name: "" if name in TEXTS else np.nan for name in self.columns}
+        lines = [[row.get(name, cell) for name, cell in blank.items()] for row in rows]
+        try:
+            if self.path is None:
+                self._lines += lines
+            elif self.path.suffix != ".parquet":
+                append_lines(self.path, self.columns, lines)
+            else:
+                self.path.mkdir(exist_ok=True)
+                part = self.path / f"part-{len(list(self.path.glob('part-*'))):06d}.parquet"
+                columns = {name: [row[i] for row in lines] for i, name in enumerate(self.columns)}
+                if rows:
+                    new, table = self.path / "new.parquet", extra("pyarrow").table(columns)
+                    extra("pyarrow.parquet").write_table(table, new)
+                    new.replace(part)
+        except OSError as error:
+            raise FileError(f"{self.path} cannot be written: {error.strerror or error}") from error
+
+
+def extra(name: str) -> Any:
+    """Return a package of the extra ``cluster``.
+
+    Raises:
+        PincalError: it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise PincalError(
+            f"{name} is not installed: python -m pip install 'pincal[cluster]'; tables named *.csv "
+            "and work without --scheduler do not need it"
+        ) from error
 
 
 class Journal:
-    """The rows of a folder, to which this process alone writes, until it is closed."""
+    """The rows of a session's folder, which one process holds until it closes it.
+
+    What is undone goes to ``undone.csv`` first.
+    """
 
     def __init__(self, folder: Path, columns: Sequence[str]) -> None:
         """Open the folder, made if there is none.
@@ -32,24 +117,21 @@ class Journal:
             self._lock = os.open(lock, os.O_RDWR | os.O_CREAT)
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock.write_text(str(os.getpid()))
+                self.rows = read_lines(self.path, self.columns)
+                append_lines(self.path, self.columns, [])
             except BlockingIOError as error:
                 self.close()
                 raise FileError(
                     f"{folder} is open in another process ({lock.read_text()}); close that, or "
                     "measure into another folder"
                 ) from error
-            lock.write_text(str(os.getpid()))
-            text = self.path.read_text("utf-8") if self.path.exists() else ""
-        # a line that was cut short was shown to nobody
-        lines = text[: text.rfind("\n") + 1].splitlines()
-        header, *self.rows = list(csv.reader(lines)) or [self.columns]
-        if header != self.columns:
-            self.close()
-            raise FileError(
-                f"{self.path} has other columns than these options give: what is measured, "
-                "and in which units, stays as it was; type them again, or name another folder"
-            )
-        self._write(self.rows)
+            except ValueError as error:
+                self.close()
+                raise FileError(
+                    f"{self.path} has other columns than these options give: what is measured, "
+                    "and in which units, stays as it was; type them again, or name another folder"
+                ) from error
 
     def close(self) -> None:
         """Let other processes open the folder."""
@@ -65,7 +147,9 @@ class Journal:
         row = [cells.get(column, "").strip() for column in self.columns]
         if any(not cell.isprintable() for cell in row):
             raise MeasurementError("a cell has characters that cannot be printed; enter it again")
-        self._write([*self.rows, row])
+        with _saying(f"not recorded; free some space and enter it again. {self.path}"):
+            append_lines(self.path, self.columns, [row])
+        self.rows.append(row)
 
     def undo(self, row: int = -1) -> None:
         """Take a row back, the last if none is named, after a copy is on disk in ``undone.csv``.
@@ -77,29 +161,60 @@ class Journal:
         if not -1 <= row < len(self.rows) or not self.rows:
             raise MeasurementError("there is no such row to undo")
         rows = self.rows.copy()
-        undone = rows.pop(row)
+        undone, new = rows.pop(row), self.path.with_suffix(".new")
         with _saying("the row was not undone"):
-            _synchronised(self.path.with_name("undone.csv"), "a", [undone])
-        self._write(rows)
-
-    def _write(self, rows: list[list[str]]) -> None:
-        """Replace the rows, here and on disk."""
-        with _saying(f"not recorded; free some space and enter it again. {self.path}"):
-            new = self.path.with_suffix(".new")
-            _synchronised(new, "w", [self.columns, *rows])
+            append_lines(self.path.with_name("undone.csv"), [], [undone])
+            new.unlink(missing_ok=True)
+            append_lines(new, self.columns, rows)
             new.replace(self.path)
-            folder = os.open(self.path.parent, os.O_RDONLY)
-            os.fsync(folder)
-            os.close(folder)
+            _synchronise_folder(self.path)
         self.rows = rows
 
 
-def _synchronised(path: Path, mode: str, rows: list[list[str]]) -> None:
-    """Write rows to a file, on the disk when this returns."""
-    with path.open(mode, newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
-        file.flush()
-        os.fsync(file.fileno())
+def read_lines(path: Path, columns: Sequence[str]) -> list[list[str]]:
+    """Return the rows of a table that ``append_lines`` wrote, none if there is none.
+
+    Raises:
+        ValueError: it has not these columns, and is left as it is.
+        OSError: it cannot be read.
+    """
+    if not path.exists():
+        return []
+    data, head = path.read_bytes(), ",".join(columns).encode()
+    end = data.rfind(b"\n") + 1
+    text = head if head.startswith(data) else data[:end] or data
+    first, *lines = csv.reader(io.StringIO(text.decode()))
+    if first != [*columns] or any(len(line) != len(first) for line in lines):
+        raise ValueError(_OTHER_COLUMNS)
+    os.truncate(path, end)
+    return lines
+
+
+def append_lines(path: Path, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Add rows to a table, below its columns if it is new: on the disk, or none of them.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    size = path.stat().st_size if path.exists() else 0
+    try:
+        with path.open("a", newline="", encoding="utf-8") as file:
+            lines = [columns, *rows] if columns and not size else rows
+            csv.writer(file, lineterminator="\n").writerows(lines)
+            file.flush()
+            os.fsync(file.fileno())
+        if not size:
+            _synchronise_folder(path)
+    except OSError:
+        if path.exists():
+            os.truncate(path, size)
+        raise
+
+
+def _synchronise_folder(path: Path) -> None:
+    folder = os.open(path.parent, os.O_RDONLY)
+    os.fsync(folder)
+    os.close(folder)
 
 
 @contextmanager
