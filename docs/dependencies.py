@@ -38,6 +38,7 @@ WHY = {
     "meshcat": "`pincal view` in the browser: its viewer (three.js, MIT) is one file "
     "that goes into the page; its server, and what that needs (tornado, pyzmq, pyngrok, ipython), "
     "are installed with it but not used",
+    "openpyxl": "reads and writes .xlsx files: tables of measurements, sheets to fill in",
     "pandas": "extra `pandas`: tables in and out as DataFrames",
     "mujoco": "extra `mujoco`: reads MJCF, its own format: defaults, includes, frames, replicas, "
     "all notations of orientations; a reader by hand knew some of them, and lost joints in silence",

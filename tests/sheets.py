@@ -6,10 +6,11 @@ import zipfile
 from pathlib import Path
 
 
-def sheet(path: Path, cells: list[list[str | float]]) -> None:
+def sheet(path: Path, cells: list[list[str | float]], shared: str = "") -> None:
     """Write a spreadsheet as Excel stores it: text in the cells that are text, else numbers.
 
-    Text that begins with ``<c`` is the cell itself, as it stands in the file.
+    Text that begins with ``<c`` is the cell itself, as it stands in the file. Items of shared texts
+    are XML, too.
     """
 
     def cell(value: str | float) -> str:
@@ -30,7 +31,8 @@ def sheet(path: Path, cells: list[list[str | float]]) -> None:
         '<Default Extension="rels" '
         'ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
         f'<Override PartName="/xl/workbook.xml" ContentType="{kind}.sheet.main+xml"/>'
-        f'<Override PartName="/xl/sheet.xml" ContentType="{kind}.worksheet+xml"/></Types>',
+        f'<Override PartName="/xl/sheet.xml" ContentType="{kind}.worksheet+xml"/>'
+        f'<Override PartName="/xl/texts.xml" ContentType="{kind}.sharedStrings+xml"/></Types>',
         "_rels/.rels": f'<Relationships xmlns="{relations}"><Relationship Id="r1" '
         f'Type="{office}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
         "xl/workbook.xml": f'<workbook xmlns="{main}" xmlns:r="{office}"><sheets>'
@@ -38,6 +40,7 @@ def sheet(path: Path, cells: list[list[str | float]]) -> None:
         "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{relations}"><Relationship Id="r1" '
         f'Type="{office}/worksheet" Target="sheet.xml"/></Relationships>',
         "xl/sheet.xml": f'<worksheet xmlns="{main}"><sheetData>{rows}</sheetData></worksheet>',
+        "xl/texts.xml": f'<sst xmlns="{main}">{shared}</sst>',
     }
     with zipfile.ZipFile(path, "w") as file:
         for name, text in files.items():
