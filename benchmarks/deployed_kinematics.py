@@ -18,7 +18,7 @@ import numpy as np
 import pincal
 from benchmarks.pages import write_table
 from pincal.files.mechanism_folders import bundled
-from pincal.formats.deployed.tables import Deployed
+from pincal.formats.deployed import Deployed
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from deployed import in_c, in_python

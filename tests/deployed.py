@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.formats.deployed.files import c_header, python_file
-from pincal.formats.deployed.tables import Deployed
+from pincal.formats.deployed import Deployed, c_header, python_file
 
 Kinematics = tuple[Callable[..., Any], Callable[..., Any]]
 """Inverse and forward kinematics of one row: values, joints, and whether there is a solution."""

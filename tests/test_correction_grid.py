@@ -17,8 +17,7 @@ from measured import workspace
 
 import pincal
 from pincal.formats.corrections import CorrectionGrid
-from pincal.formats.deployed.files import c_header, python_file
-from pincal.formats.deployed.tables import Deployed
+from pincal.formats.deployed import Deployed, c_header, python_file
 
 
 @pytest.mark.parametrize(("name", "count"), [("6UPS", 2), ("3RRR", 4), ("delta", 3)])

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from test_deformations import machine_of, plan_of
 
 import pincal
-from pincal.formats.deployed.geometry import deltakins, genhexkins
-from pincal.formats.deployed.tables import Deployed
+from pincal.formats.data_sheet import deltakins, genhexkins
+from pincal.formats.deployed import Deployed
 from pincal.kinematics.configurations import joints_at
 
 BUNDLED = ["3RRR", "8cable", "delta", "5R", "6UPS", "3RPS", "3PUU", "3PRR", "3RPR", "4cable"]
@@ -117,6 +117,11 @@ def test_a_folder_for_the_controller(tmp_path: Path) -> None:
         name = file.replace("5r", "machine_5r")
         texts = [(tmp_path / folder / name).read_text() for folder in ("controller", "again")]
         assert texts[0] == texts[1]
+    done("deploy", tmp_path / "result", "-o", tmp_path / "mm", "--units", "mm,deg")
+    lines = (tmp_path / "mm" / "geometry.csv").read_text().splitlines()
+    (sheet_length,) = [line.split(",") for line in lines if line.startswith("leg_1,rod length")]
+    np.testing.assert_allclose(float(sheet_length[3]), 1e3 * float(length[3]))
+    assert sheet_length[5] == "mm"
     with pytest.raises(pincal.FileError):
         pincal.deploy(result, tmp_path / "controller")
 

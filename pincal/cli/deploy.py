@@ -10,7 +10,7 @@ import typer
 
 import pincal
 from pincal.cli.app import command, wrote
-from pincal.cli.options import Force, output_option
+from pincal.cli.options import Force, TableOptions, output_option
 from pincal.show.deployment import GridOptions
 
 
@@ -21,6 +21,7 @@ def deploy(
     ],
     output: Annotated[Path, output_option("FOLDER", "Kinematics, data sheet and how to use them.")],
     correction: GridOptions,
+    tables: TableOptions,
     force: Force = False,
 ) -> None:
     """Write kinematics for a controller.
@@ -35,5 +36,5 @@ def deploy(
 
     For URDF, MJCF and printers see 'pincal export'.
     """
-    pincal.deploy(machine, output, force=force, **asdict(correction))
+    pincal.deploy(machine, output, force=force, units=tables.units or "", **asdict(correction))
     wrote(output)

@@ -21,11 +21,10 @@ from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import as_mechanism
 from pincal.files.output import writing
 from pincal.files.table import write_table
-from pincal.formats import deployed
+from pincal.formats import deployed as templates
 from pincal.formats.corrections import correction_grid, grid_columns
-from pincal.formats.deployed.files import c_header, python_file
-from pincal.formats.deployed.geometry import deltakins, genhexkins, geometry_sheet
-from pincal.formats.deployed.tables import Deployed
+from pincal.formats.data_sheet import deltakins, genhexkins, geometry_sheet
+from pincal.formats.deployed import Deployed, c_header, python_file
 from pincal.kinematics.configurations import inverse
 from pincal.model.checks import count_of
 from pincal.model.measurements import Plan
@@ -34,6 +33,7 @@ from pincal.model.setup import Setup
 from pincal.option import option, option_of
 from pincal.types import Array
 from pincal.words.numbers import amount
+from pincal.words.units import Units
 from pincal.workspace.limits import Limits
 from pincal.workspace.sampling import sample_workspace
 
@@ -85,6 +85,7 @@ def deploy(
     folder: str | Path,
     *,
     force: bool = False,
+    units: str = "",
     **correction: Any,
 ) -> None:
     """Write what a controller needs of a machine to a folder.
@@ -98,6 +99,7 @@ def deploy(
             written too; or a mechanism, its name or its folder.
         folder: Where to write.
         force: Overwrite what is there.
+        units: Of the tables, such as ``"mm,deg"``; SI if not given.
         **correction: ``grid``, ``box``, ``controller`` of ``GridOptions``: corrections of
             commanded poses, as ``corrections.csv`` and ``corrected`` of both files.
 
@@ -127,23 +129,26 @@ def deploy(
         nominal = deployed.mechanism if result is None else result.nominal
         controller = as_mechanism(options.controller or nominal)
         deployed, misses = _with_grid(deployed, controller, options)
-    uncertain = None if result is None else _uncertain(result)
-    mechanism = deployed.mechanism
+    mechanism, source, uncertain = deployed.mechanism, "the mechanism as drawn", None
+    written = Units.of(units, mechanism.counts, mechanism.reading_names)
+    if result is not None:
+        uncertain = result.covariance, result.undetermined_directions
+        unsure = ", which states no limit of its error: see its report" * (not result.promises)
+        source = f"a calibration{unsure}"
     prefix = re.sub(r"[^a-z0-9]", "_", mechanism.name.lower())
     prefix = "machine_" * prefix[:1].isdigit() + prefix
     files = {"kinematics.py": python_file(deployed), f"{prefix}.h": c_header(deployed, prefix)}
     files |= _linuxcnc(mechanism)
-    files[HOW_TO] = _how_to(deployed, prefix, _source(result), LINUXCNC in files)
-    tables = [SHEET]
-    if options.grid:
+    files[HOW_TO] = _how_to(deployed, prefix, source, LINUXCNC in files)
+    tables: dict[str, Any] = {SHEET: geometry_sheet(mechanism, uncertain, written)}
+    if deployed.grid is not None:
         files[HOW_TO] += _GRID.format(prefix, *misses)
-        tables.append(CORRECTIONS)
+        tables[CORRECTIONS] = written.written(grid_columns(mechanism, deployed.grid))
     with writing(folder, force=force, folder=(*files, *tables)) as scratch:
         for name, text in files.items():
             (scratch / name).write_text(text, "utf-8")
-        write_table(scratch / SHEET, geometry_sheet(mechanism, uncertain))
-        if deployed.grid is not None:
-            write_table(scratch / CORRECTIONS, grid_columns(mechanism, deployed.grid))
+        for name, columns in tables.items():
+            write_table(scratch / name, columns)
 
 
 def _linuxcnc(mechanism: Mechanism) -> dict[str, str]:
@@ -154,14 +159,6 @@ def _linuxcnc(mechanism: Mechanism) -> dict[str, str]:
         if mechanism.platform.kind == "translational" and not mechanism.by_readings:
             return {LINUXCNC: deltakins(mechanism, sample_workspace(mechanism, _UNSEEN))}
     return {}
-
-
-def _source(result: CalibrationResult | None) -> str:
-    """Return where parameters come from, in words."""
-    if result is None:
-        return "the mechanism as drawn"
-    unsure = ", which states no limit of its error: see its report" * (not result.promises)
-    return f"a calibration{unsure}"
 
 
 def _with_grid(
@@ -203,63 +200,40 @@ def _with_grid(
     return replace(deployed, grid=grid), (after, before)
 
 
-def _uncertain(result: CalibrationResult) -> dict[str, tuple[Array, Array]]:
-    """Return covariance of the parameters of each leg, and directions that are not determined."""
-    ends = np.cumsum([0, *(len(leg.parameters) for leg in result.legs)])
-    held = result.undetermined_directions
-    held = np.zeros((ends[-1], 0)) if held is None else held
-    of_legs = zip(result.legs, map(slice, ends[:-1], ends[1:]), strict=True)
-    return {leg.name: (result.covariance[part, part], held[part]) for leg, part in of_legs}
-
-
-def _how_to(wanted: Deployed, prefix: str, source: str, linuxcnc: bool) -> str:
+def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str:
     """Return the page that says how to command the machine."""
-    mechanism, platform = wanted.mechanism, wanted.mechanism.platform
-    template = (Path(deployed.__file__).parent / HOW_TO).read_text("utf-8")
-    at_home = inverse(
-        mechanism,
-        np.array([platform.home]),
-        near={leg.name: leg.home[None] for leg in mechanism.legs},
-    )
-    shown = zip(mechanism.reading_names, at_home.readings[0], strict=True)
-    pairs = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
-    counts = [sensor.counts_per_unit for leg in mechanism.legs for sensor in leg.sensors]
-    units = [
-        f"| {name} | {unit} | {count or '–'} |"
-        for (name, unit), count in zip(pairs, counts, strict=True)
-    ]
-    still = np.allclose(wanted.frame, np.eye(4)) and np.allclose(wanted.tool, np.eye(4))
+    mechanism, platform = deployed.mechanism, deployed.mechanism.platform
+    near = {leg.name: leg.home[None] for leg in mechanism.legs}
+    at_home = inverse(mechanism, np.array([platform.home]), near=near).readings[0]
+    names, counts = mechanism.reading_names, mechanism.counts
+    units = zip(names, mechanism.reading_units, strict=True)
     frames = "Poses are T_base_platform, in the frame that the machine was measured in."
-    if not still:
+    if not (np.allclose(deployed.frame, np.eye(4)) and np.allclose(deployed.tool, np.eye(4))):
         frames = (
             "Poses are T_base_platform. Of a pose of the measured point in the frame of the "
             "measurements (the tracker's), `in_base(T)` makes one; `in_frame(T)` goes back."
         )
     influences = "Nothing: the kinematics follow from readings alone."
     if mechanism.influences:
-        loads = mechanism.loaded and "; loads of gravity are computed where they are nan"
+        loads = "; loads of gravity are computed where they are nan" * bool(mechanism.loaded)
         influences = (
-            "Terms depend on "
-            + ", ".join(f"`{name}`" for name in mechanism.influences)
-            + f", in this order the second argument of `inverse` and `forward`; nan where one is "
-            f"not known, so that its terms are at their reference{loads or ''}."
+            f"Terms depend on {', '.join(f'`{name}`' for name in mechanism.influences)}, in this "
+            "order the second argument of `inverse` and `forward`; nan where one is not known, so "
+            f"that its terms are at their reference{loads}."
         )
-    further = "| `linuxcnc.hal` | HAL lines for LinuxCNC's own kinematics |\n" * linuxcnc
-    values = {
-        "name": mechanism.name,
-        "version": __version__,
-        "source": source,
-        "prefix": prefix,
-        "PREFIX_READINGS": f"{prefix.upper()}_READINGS",
-        "PREFIX_JOINTS": f"{prefix.upper()}_JOINTS",
-        "geometry": "Joint centres and lengths, with standard errors as far as known",
-        "further": further,
-        "home": ", ".join(repr(float(value)) for value in platform.home),
-        "coordinates": ", ".join(platform.coordinates),
-        "readings": ", ".join(f"{name} = {value:.9g}" for name, value in shown),
-        "near": _NEAR[any(leg.is_arm for leg in mechanism.legs)],
-        "units": "\n".join(units),
-        "frames": frames,
-        "influences": influences,
-    }
-    return Template(template).substitute(values)
+    return Template(Path(templates.__file__).with_name(HOW_TO).read_text("utf-8")).substitute(
+        name=mechanism.name,
+        version=__version__,
+        source=source,
+        prefix=prefix,
+        PREFIX_READINGS=f"{prefix.upper()}_READINGS",
+        PREFIX_JOINTS=f"{prefix.upper()}_JOINTS",
+        further="| `linuxcnc.hal` | HAL lines for LinuxCNC's own kinematics |\n" * linuxcnc,
+        home=", ".join(repr(float(value)) for value in platform.home),
+        coordinates=", ".join(platform.coordinates),
+        readings=", ".join(f"{n} = {v:.9g}" for n, v in zip(names, at_home, strict=True)),
+        near=_NEAR[any(leg.is_arm for leg in mechanism.legs)],
+        units="\n".join(f"| {n} | {unit} | {counts.get(n) or '–'} |" for n, unit in units),
+        frames=frames,
+        influences=influences,
+    )

@@ -98,9 +98,11 @@ def corrected(T: Row) -> Row:
 
 def inverse(T: Row, influences: Row | None = None, near: Matrix | None = None) -> Solution:
     """Return the readings of a pose, in the working modes of home; of arms near given joints."""
-    known = _known(influences)
+    known = influences or [nan] * len(MACHINE["influences"])
     solution = _inverse(T, known, near)
-    for _ in range(20 * bool(MACHINE["load"])):  # loads follow from readings, and bend little
+    for _ in range(
+        20 * bool(MACHINE["load"]["bodies"])
+    ):  # loads follow from readings, and bend little
         before = solution
         solution = _inverse(T, _with_loads(known, before.values), near)
         if all(abs(a - b) <= SMALL for a, b in zip(solution.values, before.values, strict=True)):
@@ -115,7 +117,7 @@ def forward(
 
     Of more readings than freedoms, that of the least gaps.
     """
-    known = _with_loads(_known(influences), readings)
+    known = _with_loads(influences or [nan] * len(MACHINE["influences"]), readings)
     if near is not None:
         return _forward(readings, known, *near)
     home = pose(*MACHINE["home"]), [leg["home"] for leg in MACHINE["legs"]]
@@ -160,21 +162,23 @@ def _inverse(T: Row, known: Row, near: Matrix | None) -> Solution:
 
 def _close(leg: dict[str, Any], T: Row, bent: Row, near: Row | None) -> tuple[Row, bool]:
     """Return joints that close a leg at a pose, and whether they do, in its working mode."""
-    unknown = [*leg["active"], *leg["passive"]]
-    if near is not None:
-        q, possible = list(near), True
-    elif leg["form"]:
-        q, possible = _formed(leg, _point(leg, T, bent))
+    q, possible = list(leg["home"] if near is None else near), True
+    if near is None and leg["form"]["kind"]:
+        q, possible = _formed(leg, T, bent)
         possible = possible or bool(bent)
-    else:
-        q, possible = _followed(leg, T, bent), True
+    elif near is None:  # along a straight way from home
+        home = pose(*MACHINE["home"])
+        turn = rotation_vector(compose(T, inverted(home)))
+        size = sqrt(_dot(turn, turn))
+        axis = [component / (size or 1.0) for component in turn]
+        for step in range(1, WAY + 1):
+            share = step / WAY
+            stage = compose(turned(axis, share * size), home)
+            for i in (3, 7, 11):
+                stage[i] = home[i] + share * (T[i] - home[i])
+            _step_joints(leg, stage, q, bent)
     for _ in range(STEPS):
-        c, J, _ = _closure(leg, T, q, bent)
-        step = _least_squares([[row[i] for i in unknown] for row in J], [-value for value in c])
-        share = min(1.0, LARGEST / max(_length(leg, unknown, step), LARGEST))
-        for i, change in zip(unknown, step, strict=True):
-            q[i] += share * change
-        if not _length(leg, unknown, step) > SMALL:
+        if not _step_joints(leg, T, q, bent) > SMALL:
             break
     _turn_back(leg, q, leg["home"] if near is None else near, near is None)
     c, J, _ = _closure(leg, T, q, bent)
@@ -182,23 +186,15 @@ def _close(leg: dict[str, Any], T: Row, bent: Row, near: Row | None) -> tuple[Ro
     return q, closed and _mode(leg, J) == leg["mode"]
 
 
-def _followed(leg: dict[str, Any], T: Row, bent: Row) -> Row:
-    """Return joints that follow a straight way from home to a pose."""
-    home, unknown, q = pose(*MACHINE["home"]), [*leg["active"], *leg["passive"]], list(leg["home"])
-    turn = rotation_vector(compose(T, inverted(home)))
-    for step in range(1, WAY + 1):
-        share = step / WAY
-        size = sqrt(_dot(turn, turn))
-        axis = [component / (size or 1.0) for component in turn]
-        stage = compose(turned(axis, share * size), home)
-        for i in (3, 7, 11):
-            stage[i] = home[i] + share * (T[i] - home[i])
-        c, J, _ = _closure(leg, stage, q, bent)
-        change = _least_squares([[row[i] for i in unknown] for row in J], [-value for value in c])
-        limited = min(1.0, LARGEST / max(_length(leg, unknown, change), LARGEST))
-        for i, value in zip(unknown, change, strict=True):
-            q[i] += limited * value
-    return q
+def _step_joints(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> float:
+    """Take joints nearer to those that close a leg at a pose, in place; return their step."""
+    c, J, _ = _closure(leg, T, q, bent)
+    unknown = leg["unknown"]
+    step = _least_squares([[row[i] for i in unknown] for row in J], [-value for value in c])
+    length = _length(leg, unknown, step)
+    for i, change in zip(unknown, step, strict=True):
+        q[i] += min(1.0, LARGEST / max(length, LARGEST)) * change
+    return length
 
 
 def _forward(readings: Row, known: Row, T: Row, near: Matrix) -> Solution:
@@ -230,9 +226,12 @@ def _begun(readings: Row, known: Row, T: Row, joints: Matrix, bents: Matrix) -> 
             q[place] = _position(sensor, readings[next(places)], known)
         bents.append(_deformations(leg, known))
         if leg["arm"]:
-            T = _platform_of(leg, q, bents[-1])
-        elif leg["form"]:
-            start = _formed(leg, _point(leg, T, bents[-1]))[0]
+            tip, point = (
+                _chain(leg["ends"][0][end], [*q, *bents[-1]])[0] for end in ("tip", "point")
+            )
+            T = compose(tip, inverted(point))
+        elif leg["form"]["kind"]:
+            start = _formed(leg, T, bents[-1])[0]
             for place in leg["passive"]:
                 q[place] = start[place]
     return T
@@ -280,7 +279,7 @@ def _closure(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> tuple[Row, Matri
     n, size, twist = len(q), leg["size"], MACHINE["twist"]
     for end in leg["ends"]:
         tip, moves = _chain(end["tip"], [*q, *bent])
-        if end["frame"] is None:  # the platform is met, in the axes of the base
+        if not end["loop"]:  # the platform is met, in the axes of the base
             met = compose(T, _chain(end["point"], [*q, *bent])[0])
             axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
             returning: list[Move] = []
@@ -295,7 +294,7 @@ def _closure(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> tuple[Row, Matri
             scale, first = (size, 3) if angular else (1.0, 0)
             gaps.append(scale * _dot(axis, turn if angular else gap))
             by_joints.append([scale * _dot(axis, column[first : first + 3]) for column in columns])
-            sign = -scale if end["frame"] is None else 0.0
+            sign = 0.0 if end["loop"] else -scale
             by_pose.append([sign * _dot(axis, _moved(f, arm)[first : first + 3]) for f in twist])
     return gaps, by_joints, by_pose
 
@@ -331,7 +330,7 @@ class Move(NamedTuple):
 def _chain(chain: dict[str, Any], values: Row) -> tuple[Row, list[Move]]:
     """Return where the tip of a chain is, and how its joints move it."""
     T, moves = chain["start"], []
-    for turns, axis, rates, behind in chain["joints"]:
+    for turns, axis, _, rates, behind in chain["moves"]:
         position = sum(rate * values[source] for source, rate in rates)
         moves.append(Move(turns, rotated(T, axis), [T[3], T[7], T[11]], rates))
         shift = [position * component for component in axis]
@@ -351,38 +350,24 @@ def _twist(move: Move, place: Row) -> tuple[Row, Row]:
     return _cross(move.axis, [a - b for a, b in zip(place, move.point, strict=True)]), move.axis
 
 
-def _point(leg: dict[str, Any], T: Row, bent: Row) -> Row:
-    """Return where a leg meets the platform, base frame."""
-    met = compose(T, _chain(leg["ends"][0]["point"], [*leg["home"], *bent])[0])
-    return [met[3], met[7], met[11]]
-
-
-def _platform_of(leg: dict[str, Any], q: Row, bent: Row) -> Row:
-    """Return where an arm's joints put the platform."""
-    end = leg["ends"][0]
-    return compose(
-        _chain(end["tip"], [*q, *bent])[0], inverted(_chain(end["point"], [*q, *bent])[0])
-    )
-
-
-def _formed(leg: dict[str, Any], target: Row) -> tuple[Row, bool]:
-    """Return the joints of a leg of closed form, and whether it reaches a target."""
-    form = leg["form"]
-    arm = [a - b for a, b in zip(target, form["centre"], strict=True)]
+def _formed(leg: dict[str, Any], T: Row, bent: Row) -> tuple[Row, bool]:
+    """Return the joints of a leg of closed form, and whether it reaches a pose."""
+    form, met = leg["form"], compose(T, _chain(leg["ends"][0]["point"], [*leg["home"], *bent])[0])
+    arm = [a - b for a, b in zip((met[3], met[7], met[11]), form["centre"], strict=True)]
     if form["plane"]:
         arm[2] = 0.0
-    if form["frame"] is None:
+    if form["kind"] == 1:
         distance = sqrt(_dot(arm, arm))
         way = [form["mode"] * component for component in arm]
         slide = form["mode"] * distance - form["length"]
         return [*_angles(form, way, leg["home"]), slide], distance > 0.0
     frame, radius, length = form["frame"], form["radius"], form["length"]
     radial, way_along, height = (_dot(column, arm) for column in zip(*frame, strict=True))
-    if radius == 0.0:
+    if form["kind"] == 2:
         square = length**2 - radial**2 - height**2
         drive = way_along - form["mode"] * sqrt(max(square, 0.0))
         rod, possible = [radial, way_along - drive, height], square >= 0.0
-        return [drive, *_angles(form, _times(frame, rod), leg["home"][1:])], possible
+        return [drive, *_angles(form, [_dot(row, rod) for row in frame], leg["home"][1:])], possible
     far = hypot(radial, way_along)
     cosine = (far**2 + height**2 + radius**2 - length**2) / (2.0 * radius * far) if far else 0.0
     possible, cosine = abs(cosine) <= 1.0, max(-1.0, min(1.0, cosine))
@@ -391,7 +376,7 @@ def _formed(leg: dict[str, Any], target: Row) -> tuple[Row, bool]:
     s = (cosine * way_along - sine * radial) / (far or 1.0)
     drive = _near(atan2(s, c), leg["home"][0])
     rod = [far * cosine - radius, far * sine, height]
-    return [drive, *_angles(form, _times(frame, rod), leg["home"][1:])], possible
+    return [drive, *_angles(form, [_dot(row, rod) for row in frame], leg["home"][1:])], possible
 
 
 def _angles(form: dict[str, Any], vector: Row, home: Row) -> Row:
@@ -407,8 +392,8 @@ def _angles(form: dict[str, Any], vector: Row, home: Row) -> Row:
 def _position(sensor: dict[str, Any], reading: float, known: Row) -> float:
     """Return a joint's position at a reading."""
     terms = (
-        a * _basis(term, reading if place < 0 else known[place])
-        for a, place, term in sensor["terms"]
+        a * _basis(form, reading if place < 0 else known[place])
+        for a, place, *form in sensor["terms"]
     )
     return float(sensor["slope"] * reading + sensor["start"] + sum(terms))
 
@@ -419,7 +404,7 @@ def _reading(sensor: dict[str, Any], position: float, known: Row) -> tuple[float
     step = 0.0
     for _ in range(50 * bool(sensor["terms"])):
         slope = sensor["slope"] + sum(
-            a * _slope(term, reading) for a, place, term in sensor["terms"] if place < 0
+            a * _slope(form, reading) for a, place, *form in sensor["terms"] if place < 0
         )
         step = (position - _position(sensor, reading, known)) / (slope or 1e-300)
         reading += step
@@ -431,46 +416,33 @@ def _reading(sensor: dict[str, Any], position: float, known: Row) -> tuple[float
 def _deformations(leg: dict[str, Any], known: Row) -> Row:
     """Return how far a leg's lengths and angles deform."""
     return [
-        float(sum(a * _basis(term, known[place]) for a, place, term in terms))
-        for terms in leg["deformations"]
+        float(sum(a * _basis(form, known[place]) for a, place, *form in deformation["terms"]))
+        for deformation in leg["deformations"]
     ]
 
 
-def _basis(term: tuple[Any, ...], value: float) -> float:
+def _basis(form: Row, value: float) -> float:
     """Return the value of a term's function; 0 where its influence is not known."""
-    kind, first, second, exponent = term
+    a, b, exponent = form
     if not isfinite(value):
         return 0.0
-    if kind == "sine":
-        return sin(first * value)
-    if kind == "cosine":
-        return cos(first * value)
-    return float(((value - second) / first) ** exponent)
+    return float(((value - b) / a) ** exponent) if exponent else sin(a * value + b)
 
 
-def _slope(term: tuple[Any, ...], value: float) -> float:
+def _slope(form: Row, value: float) -> float:
     """Return the derivative of a term's function."""
-    kind, first, second, exponent = term
-    if kind == "sine":
-        return float(first * cos(first * value))
-    if kind == "cosine":
-        return float(-first * sin(first * value))
-    return float(exponent / first * ((value - second) / first) ** (exponent - 1))
-
-
-def _known(influences: Row | None) -> Row:
-    """Return what is known of influences, nan where nothing is."""
-    return list(influences) if influences is not None else [nan] * len(MACHINE["influences"])
+    a, b, exponent = form
+    if exponent:
+        return float(exponent / a * ((value - b) / a) ** (exponent - 1))
+    return a * cos(a * value + b)
 
 
 def _with_loads(known: Row, readings: Row) -> Row:
     """Return influences with gravity's loads on an arm, as drawn, where they were not given."""
     load = MACHINE["load"]
-    if not load:
-        return known
-    pairs = zip(load["sensors"], readings, strict=True)
+    pairs = zip(load["sensors"], readings, strict=False)
     q = [0.0] * load["width"]
-    for place, (sensor, reading) in zip(load["active"], pairs, strict=True):
+    for place, (sensor, reading) in zip(load["active"], pairs, strict=False):
         q[place] = _position(sensor, reading, [])
     weights = [0.0] * load["width"]
     for mass, chain in load["bodies"]:
@@ -504,11 +476,10 @@ def _near(angle: float, centre: float) -> float:
 
 def _mode(leg: dict[str, Any], J: Matrix) -> float:
     """Return the sign of the determinant by all joints, where there are as many as rows."""
-    unknown = [*leg["active"], *leg["passive"]]
+    unknown = leg["unknown"]
     if len(unknown) != len(J) or not leg["passive"]:
         return 1.0
-    A = [[row[i] for i in unknown] for row in J]
-    return _triangularise(A, len(unknown))
+    return _triangularise([[row[i] for i in unknown] for row in J], len(unknown))
 
 
 def _length(leg: dict[str, Any], places: list[int], step: Row) -> float:
@@ -622,10 +593,6 @@ def rotation_vector(T: Row) -> Row:
 
 def _dot(a: Any, b: Any) -> float:
     return float(sum(x * y for x, y in zip(a, b, strict=True)))
-
-
-def _times(columns: Matrix, vector: Row) -> Row:
-    return [_dot(row, vector) for row in columns]
 
 
 def _cross(a: Row, b: Row) -> Row:

@@ -16,25 +16,41 @@
 #include <math.h>
 #include <stddef.h>
 
+/* SIZES */
+
+typedef const char *machine_text;
 typedef struct { int source; double rate; } machine_rate;
 typedef struct { int turns; double axis[3]; int n_rates; const machine_rate *rates; double behind[12]; } machine_move;
-typedef struct { double start[12]; int n; const machine_move *moves; } machine_chain;
-typedef struct { double amplitude; int place, kind; double first, second; int exponent; } machine_term;
-typedef struct { double slope, start; int n; const machine_term *terms; } machine_sensor;
-typedef struct { int n; const machine_term *terms; } machine_deformation;
-typedef struct { int n_rows, rows[6], loop; machine_chain tip, frame, point; } machine_end;
-typedef struct { int kind, plane; double centre[3], axes[9], delta, side, length, mode, radius, frame[9]; } machine_form;
+typedef struct { double start[12]; int n_moves; const machine_move *moves; } machine_chain;
+typedef struct { double amplitude; int place; double a, b; int exponent; } machine_term;
+typedef struct { double slope, start; int n_terms; const machine_term *terms; } machine_sensor;
+typedef struct { int n_terms; const machine_term *terms; } machine_deformation;
+typedef struct { int n_rows; const int *rows; int loop; machine_chain tip, frame, point; } machine_end;
+typedef struct { int kind, plane; double centre[3], axes[3][3], delta, side, length, mode, radius, frame[3][3]; } machine_form;
 typedef struct {
-    int n_joints, n_active, n_passive, n_bent, n_ends, n_rows, arm;
+    const char *name;
+    int n_joints, n_active, n_passive, n_unknown, n_sensors, n_deformations, n_ends, rows, arm;
     double size, mode;
-    const int *unknown, *turns; /* active joints first */
-    const double *home, *low, *high;
+    const machine_text *joints;
+    const int *active, *passive, *unknown; /* unknown: active joints first */
+    int turns[MACHINE_MOST];
+    double home[MACHINE_MOST], limits[MACHINE_MOST][2];
     const machine_sensor *sensors;
     const machine_deformation *deformations;
     const machine_end *ends;
     machine_form form;
 } machine_leg;
 typedef struct { double mass; machine_chain chain; } machine_body;
+typedef struct { int place, source; } machine_load_column;
+typedef struct {
+    double gravity[3];
+    int width, n_active, n_sensors, n_bodies, n_columns;
+    const int *active;
+    const machine_sensor *sensors;
+    const machine_body *bodies;
+    const machine_load_column *columns;
+} machine_gravity;
+typedef struct { double low[MACHINE_DOF], high[MACHINE_DOF]; int count, n_twists; const double *twists; } machine_corrections;
 
 /* TABLES */
 
@@ -101,7 +117,7 @@ static inline void machine_pose(const double *coordinates, double *T) {
     double turn[12];
     machine_copy(unit, T, 12);
     for (int i = 0; i < MACHINE_LENGTHS; i++) T[4 * i + 3] = coordinates[i];
-    if (MACHINE_TURNS == 1) { machine_turned(machine_turn_axis, turns[0], turn); machine_compose(T, turn, T); }
+    if (MACHINE_TURNS == 1) { machine_turned(machine_turn_axes[0], turns[0], turn); machine_compose(T, turn, T); }
     if (MACHINE_TURNS == 3) {
         machine_turned(z, turns[0], turn); machine_compose(T, turn, T);
         machine_turned(y, turns[1], turn); machine_compose(T, turn, T);
@@ -113,7 +129,7 @@ static inline void machine_coordinates(const double *T, double *coordinates) {
     double *turns = coordinates + MACHINE_LENGTHS;
     for (int i = 0; i < MACHINE_LENGTHS; i++) coordinates[i] = T[4 * i + 3];
     if (MACHINE_TURNS == 1) {
-        int i = machine_turn_axis[0] != 0.0 ? 0 : machine_turn_axis[1] != 0.0 ? 1 : 2, j = (i + 1) % 3, k = (i + 2) % 3;
+        int i = machine_turn_axes[0][0] != 0.0 ? 0 : machine_turn_axes[0][1] != 0.0 ? 1 : 2, j = (i + 1) % 3, k = (i + 2) % 3;
         turns[0] = atan2(T[4 * k + j], T[4 * j + j]);
     }
     if (MACHINE_TURNS == 3) {
@@ -157,7 +173,7 @@ static inline void machine_corrected(const double *T, double *commanded) {
     machine_rotation_vector(back, offset + 3);
     for (int i = 0; i < 3; i++) offset[i] = T[4 * i + 3] - home[4 * i + 3];
     for (int i = 0; i < MACHINE_DOF; i++) {
-        double at = (offset[machine_freedoms[i]] - machine_grid_low[i]) / (machine_grid_high[i] - machine_grid_low[i]);
+        double at = (offset[machine_freedoms[i]] - machine_grid.low[i]) / (machine_grid.high[i] - machine_grid.low[i]);
         at = (at < 0.0 ? 0.0 : at > 1.0 ? 1.0 : at) * (MACHINE_GRID - 1);
         cell[i] = at < MACHINE_GRID - 2 ? (int)at : MACHINE_GRID - 2;
         share[i] = at - cell[i];
@@ -170,7 +186,7 @@ static inline void machine_corrected(const double *T, double *commanded) {
             weight *= side ? share[i] : 1.0 - share[i];
             node = node * MACHINE_GRID + cell[i] + side;
         }
-        for (int i = 0; i < MACHINE_DOF; i++) twist[i] += weight * machine_grid[node * MACHINE_DOF + i];
+        for (int i = 0; i < MACHINE_DOF; i++) twist[i] += weight * machine_grid.twists[node * MACHINE_DOF + i];
     }
     machine_displaced(T, twist, commanded);
 }
@@ -181,7 +197,7 @@ typedef struct { const machine_move *move; double axis[3], point[3]; } machine_j
 /* where the tip of a chain is, and its joints there */
 static inline void machine_along(const machine_chain *chain, const double *values, double *T, machine_joint *joints) {
     machine_copy(chain->start, T, 12);
-    for (int i = 0; i < chain->n; i++) {
+    for (int i = 0; i < chain->n_moves; i++) {
         const machine_move *move = chain->moves + i;
         double position = 0.0, motion[12];
         for (int j = 0; j < move->n_rates; j++) position += move->rates[j].rate * values[move->rates[j].source];
@@ -212,7 +228,7 @@ static inline void machine_twist(const machine_joint *joint, const double *place
 
 /* rows of a leg: derivatives by its unknown joints, then by the pose's twist, and less the gap, [m] */
 static inline double machine_closure(const machine_leg *leg, const double *T, const double *values, int first, machine_row *A) {
-    int n = leg->n_active + leg->n_passive, row = 0;
+    int n = leg->n_unknown, row = 0;
     double largest = 0.0;
     for (int e = 0; e < leg->n_ends; e++) {
         const machine_end *end = leg->ends + e;
@@ -225,7 +241,7 @@ static inline double machine_closure(const machine_leg *leg, const double *T, co
         for (int i = 0; i < 3; i++) { place[i] = tip[4 * i + 3]; gap[i] = place[i] - met[4 * i + 3]; arm[i] = met[4 * i + 3] - T[4 * i + 3]; }
         machine_inverted(met, back); machine_compose(tip, back, back); machine_rotation_vector(back, turn);
         for (int side = 0; side <= end->loop; side++)
-            for (int i = 0; i < (side ? end->frame.n : end->tip.n); i++) {
+            for (int i = 0; i < (side ? end->frame.n_moves : end->tip.n_moves); i++) {
                 double twist[6];
                 const machine_move *move = joints[side][i].move;
                 machine_twist(&joints[side][i], place, twist);
@@ -290,7 +306,7 @@ static inline void machine_back(machine_row *A, int rows, int n, int last, doubl
 
 /* a step of joints that closes a leg best, the shortest if there are more joints than rows */
 static inline void machine_step(const machine_leg *leg, machine_row *A, double *step) {
-    int n = leg->n_active + leg->n_passive, rows = leg->n_rows;
+    int n = leg->n_unknown, rows = leg->rows;
     double largest = 0.0;
     for (int i = 0; i < rows; i++) {
         A[i][n] = A[i][n + MACHINE_DOF];
@@ -306,7 +322,7 @@ static inline void machine_step(const machine_leg *leg, machine_row *A, double *
 /* the largest step, [rad] or of the leg's size */
 static inline double machine_length(const machine_leg *leg, int first, const double *step) {
     double largest = 0.0;
-    for (int j = first; j < leg->n_active + leg->n_passive; j++) {
+    for (int j = first; j < leg->n_unknown; j++) {
         double size = fabs(step[j - first]) / (leg->turns[leg->unknown[j]] ? 1.0 : leg->size);
         if (!(size <= largest)) largest = size;
     }
@@ -316,15 +332,15 @@ static inline double machine_length(const machine_leg *leg, int first, const dou
 /* the working mode: the sign of the determinant by all joints */
 static inline double machine_mode(const machine_leg *leg, const double *T, const double *values) {
     machine_row A[MACHINE_TALL];
-    int n = leg->n_active + leg->n_passive;
-    if (n != leg->n_rows || !leg->n_passive) return 1.0;
+    int n = leg->n_unknown;
+    if (n != leg->rows || !leg->n_passive) return 1.0;
     machine_closure(leg, T, values, 0, A);
     return machine_triangle(A, n, n, n);
 }
 
 static inline void machine_angles(const machine_form *form, const double *vector, const double *home, double *angles) {
     double along[3];
-    for (int j = 0; j < 3; j++) along[j] = form->axes[j] * vector[0] + form->axes[3 + j] * vector[1] + form->axes[6 + j] * vector[2];
+    for (int j = 0; j < 3; j++) along[j] = form->axes[0][j] * vector[0] + form->axes[1][j] * vector[1] + form->axes[2][j] * vector[2];
     angles[0] = machine_near(atan2(-form->side * along[1], form->side * along[2]), home[0]);
     if (!form->plane) angles[1] = machine_near(atan2(along[0], form->side * hypot(along[1], along[2])) - form->delta, home[1]);
 }
@@ -342,7 +358,7 @@ static inline int machine_formed(const machine_leg *leg, const double *target, d
         q[form->plane ? 1 : 2] = form->mode * distance - form->length;
         return distance > 0.0;
     }
-    for (int j = 0; j < 3; j++) local[j] = form->frame[j] * arm[0] + form->frame[3 + j] * arm[1] + form->frame[6 + j] * arm[2];
+    for (int j = 0; j < 3; j++) local[j] = form->frame[0][j] * arm[0] + form->frame[1][j] * arm[1] + form->frame[2][j] * arm[2];
     int possible;
     if (form->kind == 2) {
         double square = form->length * form->length - local[0] * local[0] - local[2] * local[2];
@@ -360,23 +376,21 @@ static inline int machine_formed(const machine_leg *leg, const double *target, d
         rod[0] = far * cosine - r; rod[1] = far * sine;
     }
     rod[2] = local[2];
-    machine_rotated((double[12]){form->frame[0], form->frame[1], form->frame[2], 0, form->frame[3], form->frame[4], form->frame[5], 0,
-                                 form->frame[6], form->frame[7], form->frame[8], 0}, rod, back);
+    for (int i = 0; i < 3; i++) back[i] = machine_dot(form->frame[i], rod);
     machine_angles(form, back, leg->home + 1, q + 1);
     return possible;
 }
 
 static inline double machine_basis(const machine_term *term, double value, int slope) {
     if (!isfinite(value)) return 0.0;
-    if (term->kind == 0) return slope ? term->first * cos(term->first * value) : sin(term->first * value);
-    if (term->kind == 1) return slope ? -term->first * sin(term->first * value) : cos(term->first * value);
-    double relative = (value - term->second) / term->first;
-    return slope ? term->exponent / term->first * pow(relative, term->exponent - 1) : pow(relative, term->exponent);
+    if (term->exponent == 0) return slope ? term->a * cos(term->a * value + term->b) : sin(term->a * value + term->b);
+    double relative = (value - term->b) / term->a;
+    return slope ? term->exponent / term->a * pow(relative, term->exponent - 1) : pow(relative, term->exponent);
 }
 
 static inline double machine_position(const machine_sensor *sensor, double reading, const double *known) {
     double position = sensor->slope * reading + sensor->start;
-    for (int i = 0; i < sensor->n; i++) {
+    for (int i = 0; i < sensor->n_terms; i++) {
         const machine_term *term = sensor->terms + i;
         position += term->amplitude * machine_basis(term, term->place < 0 ? reading : known[term->place], 0);
     }
@@ -386,9 +400,9 @@ static inline double machine_position(const machine_sensor *sensor, double readi
 static inline int machine_reading(const machine_sensor *sensor, double position, const double *known, double *reading) {
     double step = 0.0;
     *reading = (position - sensor->start) / sensor->slope;
-    for (int k = 0; sensor->n && k < 50; k++) {
+    for (int k = 0; sensor->n_terms && k < 50; k++) {
         double slope = sensor->slope;
-        for (int i = 0; i < sensor->n; i++)
+        for (int i = 0; i < sensor->n_terms; i++)
             if (sensor->terms[i].place < 0) slope += sensor->terms[i].amplitude * machine_basis(sensor->terms + i, *reading, 1);
         step = (position - machine_position(sensor, *reading, known)) / slope;
         *reading += step;
@@ -398,9 +412,9 @@ static inline int machine_reading(const machine_sensor *sensor, double position,
 }
 
 static inline void machine_bend(const machine_leg *leg, const double *known, double *bent) {
-    for (int i = 0; i < leg->n_bent; i++) {
+    for (int i = 0; i < leg->n_deformations; i++) {
         bent[i] = 0.0;
-        for (int j = 0; j < leg->deformations[i].n; j++) {
+        for (int j = 0; j < leg->deformations[i].n_terms; j++) {
             const machine_term *term = leg->deformations[i].terms + j;
             bent[i] += term->amplitude * machine_basis(term, known[term->place], 0);
         }
@@ -410,29 +424,31 @@ static inline void machine_bend(const machine_leg *leg, const double *known, dou
 /* influences, with gravity's loads on an arm as drawn where they are not known */
 static inline void machine_know(const double *influences, const double *readings, double *known) {
     for (int i = 0; i <= MACHINE_INFLUENCES; i++) known[i] = influences && i < MACHINE_INFLUENCES ? influences[i] : NAN;
-    if (!MACHINE_BODIES) return;
+    if (!machine_load.n_bodies) return;
     double q[MACHINE_LOAD_WIDTH] = {0}, weights[MACHINE_LOAD_WIDTH] = {0};
-    for (int i = 0; i < MACHINE_READINGS; i++) q[machine_load_active[i]] = machine_position(machine_load_sensors + i, readings[i], known);
-    for (int b = 0; b < MACHINE_BODIES; b++) {
+    for (int i = 0; i < machine_load.n_active; i++) q[machine_load.active[i]] = machine_position(machine_load.sensors + i, readings[i], known);
+    for (int b = 0; b < machine_load.n_bodies; b++) {
         machine_joint joints[MACHINE_MOVES];
-        const machine_chain *chain = &machine_bodies[b].chain;
+        const machine_chain *chain = &machine_load.bodies[b].chain;
         double T[12], twist[6];
         machine_along(chain, q, T, joints);
-        for (int i = 0; i < chain->n; i++) {
+        for (int i = 0; i < chain->n_moves; i++) {
             machine_twist(joints + i, (double[3]){T[3], T[7], T[11]}, twist);
-            double power = machine_bodies[b].mass * machine_dot(machine_gravity, twist);
+            double power = machine_load.bodies[b].mass * machine_dot(machine_load.gravity, twist);
             for (int j = 0; j < chain->moves[i].n_rates; j++) weights[chain->moves[i].rates[j].source] += chain->moves[i].rates[j].rate * power;
         }
     }
-    for (int i = 0; i < MACHINE_LOADS; i++)
-        if (!isfinite(known[machine_loads[i][0]])) known[machine_loads[i][0]] = weights[machine_loads[i][1]];
+    for (int i = 0; i < machine_load.n_columns; i++) {
+        const machine_load_column *column = machine_load.columns + i;
+        if (!isfinite(known[column->place])) known[column->place] = weights[column->source];
+    }
 }
 
 /* joints of a leg that follow a straight way from home to a pose */
 static inline void machine_follow(const machine_leg *leg, const double *T, double *values) {
     double home[12], turn[12], vector[3], step[MACHINE_MOST];
     machine_row A[MACHINE_TALL];
-    int n = leg->n_active + leg->n_passive;
+    int n = leg->n_unknown;
     machine_pose(machine_home, home);
     machine_inverted(home, turn); machine_compose(T, turn, turn); machine_rotation_vector(turn, vector);
     double size = sqrt(machine_dot(vector, vector));
@@ -449,13 +465,13 @@ static inline void machine_follow(const machine_leg *leg, const double *T, doubl
 }
 
 static inline int machine_close(const machine_leg *leg, const double *T, const double *near, double *values) {
-    int n = leg->n_active + leg->n_passive, possible = 1;
+    int n = leg->n_unknown, possible = 1;
     double step[MACHINE_MOST], point[12];
     machine_row A[MACHINE_TALL];
     machine_copy(near ? near : leg->home, values, leg->n_joints);
     if (!near && leg->form.kind) {
         machine_along(&leg->ends[0].point, values, point, NULL); machine_compose(T, point, point);
-        possible = machine_formed(leg, (double[3]){point[3], point[7], point[11]}, values) || leg->n_bent;
+        possible = machine_formed(leg, (double[3]){point[3], point[7], point[11]}, values) || leg->n_deformations;
     } else if (!near) machine_follow(leg, T, values);
     for (int k = 0; k < 40; k++) {
         machine_closure(leg, T, values, 0, A);
@@ -465,7 +481,7 @@ static inline int machine_close(const machine_leg *leg, const double *T, const d
         if (!(length > 1e-10)) break;
     }
     for (int i = 0; i < leg->n_joints; i++) {
-        double low = leg->low[i] - 1e-9, high = leg->high[i] + 1e-9, full = 2.0 * acos(-1.0);
+        double low = leg->limits[i][0] - 1e-9, high = leg->limits[i][1] + 1e-9, full = 2.0 * acos(-1.0);
         if (!leg->turns[i] || !isfinite(values[i])) continue;
         values[i] = machine_near(values[i], near ? near[i] : leg->home[i]);
         if (near || (low <= values[i] && values[i] <= high)) continue;
@@ -497,7 +513,7 @@ static inline int machine_inverse(const double *T, const double *influences, con
     double known[MACHINE_INFLUENCES + 1], before[MACHINE_READINGS];
     for (int i = 0; i <= MACHINE_INFLUENCES; i++) known[i] = influences && i < MACHINE_INFLUENCES ? influences[i] : NAN;
     int lost = machine_inverse_at(T, known, near, readings, joints);
-    for (int k = 0; MACHINE_BODIES && k < 20; k++) {
+    for (int k = 0; machine_load.n_bodies && k < 20; k++) {
         double change = 0.0;
         machine_copy(readings, before, MACHINE_READINGS);
         machine_know(influences, readings, known);
@@ -524,7 +540,7 @@ static inline int machine_forward_at(const double *readings, const double *known
         } else if (leg->form.kind) {
             machine_compose(T, place, place);
             machine_formed(leg, (double[3]){place[3], place[7], place[11]}, q);
-            for (int j = leg->n_active; j < leg->n_active + leg->n_passive; j++) values[l][leg->unknown[j]] = q[leg->unknown[j]];
+            for (int j = leg->n_active; j < leg->n_unknown; j++) values[l][leg->unknown[j]] = q[leg->unknown[j]];
         }
     }
     for (int k = 0; k < 40; k++) {
@@ -533,8 +549,8 @@ static inline int machine_forward_at(const double *readings, const double *known
             const machine_leg *leg = machine_legs + l;
             int p = leg->n_passive;
             machine_closure(leg, T, values[l], leg->n_active, reduced[l]);
-            sign *= machine_triangle(reduced[l], leg->n_rows, p, p + MACHINE_DOF + 1);
-            for (int i = p; i < leg->n_rows; i++, count++)
+            sign *= machine_triangle(reduced[l], leg->rows, p, p + MACHINE_DOF + 1);
+            for (int i = p; i < leg->rows; i++, count++)
                 machine_copy(reduced[l][i] + p, rows[count], MACHINE_DOF + 1);
         }
         sign *= machine_triangle(rows, count, MACHINE_DOF, MACHINE_DOF + 1);
@@ -548,9 +564,9 @@ static inline int machine_forward_at(const double *readings, const double *known
         for (int l = 0; l < MACHINE_LEGS; l++) {
             const machine_leg *leg = machine_legs + l;
             int p = leg->n_passive, last = p + MACHINE_DOF;
-            for (int i = 0; i < p && i < leg->n_rows; i++)
+            for (int i = 0; i < p && i < leg->rows; i++)
                 for (int j = 0; j < MACHINE_DOF; j++) reduced[l][i][last] -= share * reduced[l][i][p + j] * twist[j];
-            machine_back(reduced[l], leg->n_rows, p, last, step);
+            machine_back(reduced[l], leg->rows, p, last, step);
             moved = fmax(moved, machine_length(leg, leg->n_active, step));
             for (int j = 0; j < p; j++) values[l][leg->unknown[leg->n_active + j]] += step[j];
         }
@@ -600,7 +616,7 @@ static inline int machine_beyond_limits(const double *joints) {
     int count = 0;
     for (int l = 0; l < MACHINE_LEGS; joints += machine_legs[l++].n_joints)
         for (int i = 0; i < machine_legs[l].n_joints; i++)
-            count += joints[i] < machine_legs[l].low[i] - 1e-9 || joints[i] > machine_legs[l].high[i] + 1e-9;
+            count += joints[i] < machine_legs[l].limits[i][0] - 1e-9 || joints[i] > machine_legs[l].limits[i][1] + 1e-9;
     return count;
 }
 

@@ -6,13 +6,11 @@ cranks and on carriages. Standard errors are those of the parameters, carried on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from scipy.optimize import least_squares
 
 from pincal.errors import MechanismError
-from pincal.kinematics.closed_forms import ClosedForm, closed_form
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import inverse
@@ -21,6 +19,7 @@ from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.types import Array
+from pincal.words.units import SI, UNITS, Units
 
 _STEP = 1e-6  # of parameters, for differences [m] or [rad]
 _MOVED = 1e-6  # by a direction of length 1: it is not determined
@@ -63,7 +62,7 @@ def _geometry(leg: Leg, platform: Platform, parameters: Array) -> dict[str, tupl
 
 
 def geometry_sheet(
-    mechanism: Mechanism, uncertain: Mapping[str, tuple[Array, Array]] | None = None
+    mechanism: Mechanism, uncertain: tuple[Array, Array | None] | None = None, units: Units = SI
 ) -> Columns:
     """Return joint centres, directions and lengths of all legs, with standard errors.
 
@@ -71,16 +70,19 @@ def geometry_sheet(
 
     Args:
         mechanism: The machine, at its nominal parameters.
-        uncertain: By leg, covariance of its parameters, shape (n_params, n_params), and directions
-            of them that nothing determines, (n_params, n_lost).
+        uncertain: Covariance of all legs' parameters, shape (n_params, n_params), and directions
+            of them that nothing determines, (n_params, n_lost) or None.
+        units: Of lengths and angles.
 
     Returns:
         Columns leg, what, axis, value, ± and unit; of a leg without a closed form, its parameters.
         NaN is the ± of what is not known or not determined.
     """
     rows: list[tuple[str, str, str, float, float, str]] = []
+    end = 0
     for leg in mechanism.legs:
         nominal, platform = leg.nominal, mechanism.platform
+        part, end = slice(end, end + len(nominal)), end + len(nominal)
         described = _geometry(leg, platform, nominal)
         if not described:
             described = {n: (leg.units[n], nominal[[i]]) for i, n in enumerate(leg.parameter_names)}
@@ -95,19 +97,21 @@ def geometry_sheet(
                     parts = [v for _, v in sheet.values()] if sheet else [moved]
                     ends.append(np.concatenate(parts))
                 by_parameter[:, place] = (ends[0] - ends[1]) / (2.0 * _STEP)
-            covariance, lost = uncertain[leg.name]
-            variance = np.einsum("ij,jk,ik->i", by_parameter, covariance, by_parameter)
-            determined = ~(np.abs(by_parameter @ lost) > _MOVED).any(axis=1)
-            std = np.where(determined, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+            covariance, lost = uncertain[0][part, part], uncertain[1]
+            std = np.sqrt(np.einsum("ij,jk,ik->i", by_parameter, covariance, by_parameter).clip(0))
+            if lost is not None:
+                std[(np.abs(by_parameter @ lost[part]) > _MOVED).any(axis=1)] = np.nan
         errors = iter(std)
         for what, (unit, values) in described.items():
-            axes = "xyz" if len(values) == 3 else ("",)
-            for axis, value, error in zip(axes, values, errors, strict=False):
-                rows.append((leg.name, what, axis, float(value), float(error), unit))
-    leg_names, whats, axes_, values_, errors_, units = (list(c) for c in zip(*rows, strict=True))
-    shown = [float(f"{error:.3g}") for error in errors_]
-    numbers = {"value": np.round(values_, 10), "standard error": np.array(shown)}
-    return {"leg": leg_names, "what": whats, "axis": axes_, **numbers, "unit": units}
+            shown = units.names.get(unit, unit)
+            axes, scale = "xyz" if len(values) == 3 else ("",), UNITS.get(shown, ("", 1.0))[1]
+            for axis, value, error in zip(axes, values / scale, errors, strict=False):
+                rows.append((leg.name, what, axis, float(value), float(error) / scale, shown))
+    heads = ("leg", "what", "axis", "value", "standard error", "unit")
+    columns: Columns = dict(zip(heads, map(list, zip(*rows, strict=True)), strict=True))
+    columns["value"] = np.round(np.asarray(columns["value"], float), 10)
+    columns["standard error"] = np.array([float(f"{e:.3g}") for e in columns["standard error"]])
+    return columns
 
 
 def genhexkins(mechanism: Mechanism) -> str:
@@ -119,7 +123,12 @@ def genhexkins(mechanism: Mechanism) -> str:
         MechanismError: no hexapod with six struts on points.
     """
     closures = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
-    forms = [form for closure in closures if (form := _strut(closure))]
+    forms = [
+        form
+        for closure in closures
+        if (form := closed_form(closure)) and form.frame is None
+        if closure.leg.active == [form.driven]
+    ]
     if mechanism.platform.dof != 6 or not len(forms) == len(closures) == 6:
         raise MechanismError(
             f"{mechanism.name!r} is no hexapod with six struts between points, the machine that "
@@ -140,13 +149,6 @@ def genhexkins(mechanism: Mechanism) -> str:
         length = f"{1e3 * zero:.9f} + {slope:.12f} × reading of {closure.leg.name} [mm]"
         lines.append(f"# joint {place} [mm] = {length}{', without its terms' * bool(law.terms)}")
     return "\n".join(lines) + "\n"
-
-
-def _strut(closure: LegClosure) -> ClosedForm | None:
-    """Return the closed form of a leg that is a driven strut between two points."""
-    form = closed_form(closure)
-    driven = form is not None and form.frame is None and closure.leg.active == [form.driven]
-    return form if driven else None
 
 
 _AHEAD = {"lineardeltakins": 90.0, "rotarydeltakins": -90.0}  # azimuth of joint 0 [deg]
@@ -197,15 +199,6 @@ def _delta_legs(mechanism: Mechanism) -> tuple[str, list[int], Array, list[float
     return "rotarydeltakins", places, -upward, [*lengths, forms[0].radius], turns[0]
 
 
-def _delta_drives(kind: str, unknowns: Array, poses: Array) -> Array:
-    """Return joints less zeros at poses, (N, 3); unknown are frame (4), zeros (3), lengths."""
-    (x, y, z, turn), zeros, lengths = np.split(unknowns, [4, 7])
-    c, s = np.cos(turn), np.sin(turn)
-    frame = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    shift = np.array([x, y, z * (len(lengths) > 2)])  # along z, zeros of carriages do the same
-    return _delta_joints(kind, lengths, (poses - shift) @ frame) - zeros
-
-
 def deltakins(mechanism: Mechanism, poses: Array) -> str:
     """Return the lines of HAL for LinuxCNC's ``lineardeltakins`` or ``rotarydeltakins``, [mm].
 
@@ -220,16 +213,25 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
     solved = inverse(mechanism, poses).joints
     q = signs * np.transpose([solved[leg.name][:, leg.active[0]] for leg in legs])
     begin = np.array([0.0, 0.0, 0.0, azimuth - np.radians(_AHEAD[kind]), 0.0, 0.0, 0.0, *sizes])
-    begin[4:7] = np.nan_to_num(_delta_drives(kind, begin, poses) - q).mean(axis=0)
 
-    def misfit(unknowns: Array) -> Array:
-        return np.nan_to_num(_delta_drives(kind, unknowns, poses) - q).ravel()
+    def drives(unknowns: Array) -> Array:
+        """Return joints less zeros, (N, 3), of a frame (4), zeros (3) and lengths."""
+        (x, y, z, turn), zeros, lengths = np.split(unknowns, [4, 7])
+        c, s = np.cos(turn), np.sin(turn)
+        frame = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        shift = np.array([x, y, z * turning])  # along z, zeros of carriages do the same
+        return _delta_joints(kind, lengths, (poses - shift) @ frame) - zeros
 
-    fitted = least_squares(misfit, begin, x_scale="jac").x
+    def missed_by(unknowns: Array) -> Array:
+        return np.nan_to_num(drives(unknowns) - q)
+
+    begin[4:7] = missed_by(begin).mean(axis=0)
+
+    fitted = least_squares(lambda unknowns: missed_by(unknowns).ravel(), begin, x_scale="jac").x
     laws = [sensor_law(LegClosure(leg, mechanism.platform)) for leg in legs]
     start, slope = np.array([(law.start[0], law.slope[0]) for law in laws]).T
     readings = np.empty_like(q)
-    readings[:, order] = (signs * _delta_drives(kind, fitted, poses) - start) / slope
+    readings[:, order] = (signs * drives(fitted) - start) / slope
     missed = np.array([np.inf])
     if np.isfinite(readings).all():
         missed = np.linalg.norm(forward(mechanism, readings, poses).poses - poses, axis=1)

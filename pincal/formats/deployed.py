@@ -1,0 +1,363 @@
+"""Kinematics of a machine as one Python file, or as one C99 header, that need nothing of pincal.
+
+Both work with the same tables. Every kinematic parameter is a joint of a leg's calibration chain
+(``kinematics.chain``); of these stay the ones that move, each with the constant transform behind
+it, parameters put in.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.util import find_spec, module_from_spec
+from math import pi
+from pathlib import Path
+from pprint import pformat
+from textwrap import fill
+from typing import Any
+
+import numpy as np
+
+from pincal import __version__
+from pincal.errors import MechanismError
+from pincal.formats.corrections import CorrectionGrid
+from pincal.kinematics.chain import elementary_joints, leaders
+from pincal.kinematics.closed_forms import closed_form
+from pincal.kinematics.closing import home_mode, sensor_law
+from pincal.kinematics.closure import LegClosure, nominal_legs
+from pincal.kinematics.forward import reading_range
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
+from pincal.model.mechanism import Mechanism
+from pincal.model.sensor import PlacedTerm, SensorLaw
+from pincal.model.terms import LOAD, Harmonic, Load, Power
+from pincal.types import Array
+
+Table = dict[str, Any]
+_AXES = dict(zip("xyz", np.eye(3), strict=True))
+_DIGITS = 9  # of twists on a grid, [m] and [rad]
+_LEFT = "left"  # begins a reason: closed, and in another mode
+_TEMPLATE = Path(__file__).with_name("controller_kinematics.py")
+_PLACE = "MACHINE: dict[str, Any] = {}\n"
+_DECLARED = {
+    "readings": "machine_text machine_reading_names[]",
+    "home": "double machine_home[]",
+    "home_readings": "double machine_home_readings[]",
+    "frame": "double machine_frame[]",
+    "tool": "double machine_tool[]",
+    "size": "double machine_size",
+    "assembly": "double machine_assembly",
+    "twist": "int machine_freedoms[]",
+    "turns": "double machine_turn_axes[][3]",
+    "load": "machine_gravity machine_load",
+    "grid": "machine_corrections machine_grid",
+    "legs": "machine_leg machine_legs[]",
+}
+"""How tables of a machine are declared in C."""
+
+
+class Several(list[Any]):
+    """A list of any length: in C its count, and where the first of its items is."""
+
+    def __init__(self, kind: str, items: Sequence[Any]) -> None:
+        super().__init__(items)
+        self.kind = kind
+
+
+@dataclass(frozen=True)
+class Deployed:
+    """What goes onto a controller: a machine, and where it was measured."""
+
+    mechanism: Mechanism
+    frame: Array = field(default_factory=lambda: np.eye(4))
+    """T_frame_base of the frame of the measurements, shape (4, 4)."""
+    tool: Array = field(default_factory=lambda: np.eye(4))
+    """T_platform_tool, of the point that was measured, shape (4, 4)."""
+    grid: CorrectionGrid | None = None
+    """Corrections of poses for a controller that knows another machine."""
+
+    @cached_property
+    def tables(self) -> Table:
+        """The tables of the machine, of which forward kinematics say the assembly mode of home."""
+        spec: Any = find_spec(f"{__package__}.{_TEMPLATE.stem}")
+        kinematics: Any = module_from_spec(spec)  # a copy, with tables of its own
+        spec.loader.exec_module(kinematics)
+        machine, platform, grid = self.mechanism, self.mechanism.platform, self.grid
+        tables = kinematics.MACHINE = {
+            "name": machine.name,
+            "readings": list(machine.reading_names),
+            "units": list(machine.reading_units),
+            "influences": list(machine.influences),
+            "coordinates": list(platform.coordinates),
+            "lengths": platform.lengths,
+            "turns": [np.eye(3)[row - 3].tolist() for row in platform.twist_rows if row >= 3],
+            "twist": list(platform.twist_rows),
+            "home": [float(value) for value in platform.home],
+            "home_readings": reading_range(machine)[2].tolist(),
+            "size": float(machine.size),
+            "assembly": 1.0,
+            "frame": _rows(self.frame),
+            "tool": _rows(self.tool),
+            "load": _load(machine),
+            "legs": [_leg(machine, closure) for closure in nominal_legs(machine)],
+        }
+        if grid is not None:
+            twists = grid.twists.round(_DIGITS).ravel().tolist()
+            ends = {"low": grid.low.tolist(), "high": grid.high.tolist()}
+            tables["grid"] = {**ends, "count": grid.count, "twists": Several("double", twists)}
+        if kinematics.forward(tables["home_readings"]).reason.startswith(_LEFT):
+            tables["assembly"] = -1.0
+        return tables
+
+
+def python_file(deployed: Deployed) -> str:
+    """Return the kinematics of a machine as the text of a Python file."""
+    literal = re.sub(r"\binf\b", 'float("inf")', pformat(deployed.tables, width=96, compact=True))
+    source = _TEMPLATE.read_text("utf-8").replace('"""', f'"""{_title(deployed)}\n\n', 1)
+    return source.replace(_PLACE, f"MACHINE: dict[str, Any] = {literal}\n")
+
+
+def c_header(deployed: Deployed, prefix: str) -> str:
+    """Return the kinematics of a machine as the text of a C99 header.
+
+    Args:
+        deployed: The machine.
+        prefix: What names of functions begin with, such as ``hexapod``.
+    """
+    tables = deployed.tables
+    legs, load = tables["legs"], tables["load"]
+    chains = [chain for leg in legs for end in leg["ends"] for chain in (end["tip"], end["frame"])]
+    chains += [chain for _, chain in load["bodies"]]
+    reduced = sum(leg["rows"] - len(leg["passive"]) for leg in legs)
+    tall = [
+        leg["rows"] + (len(leg["unknown"]) if leg["rows"] < len(leg["unknown"]) else 0)
+        for leg in legs
+    ]
+    sizes = {
+        "LEGS": len(legs),
+        "DOF": len(tables["twist"]),
+        "LENGTHS": tables["lengths"],
+        "TURNS": len(tables["turns"]),
+        "READINGS": len(tables["readings"]),
+        "JOINTS": sum(len(leg["joints"]) for leg in legs),
+        "INFLUENCES": len(tables["influences"]),
+        "MOST": max(len(leg["joints"]) + len(leg["deformations"]) for leg in legs),
+        "TALL": max(*tall, reduced),
+        "REDUCED": max(reduced, 1),
+        "MOVES": max(1, *(len(chain["moves"]) for chain in chains)),
+        "LOAD_WIDTH": load["width"],
+        **({"GRID": tables["grid"]["count"]} if "grid" in tables else {}),
+    }
+    defined = "\n".join(f"#define MACHINE_{name} {size}" for name, size in sizes.items())
+    values = "\n".join(
+        fill(f"static const {declared} = {_c(tables[name])};", 100, break_on_hyphens=False)
+        for name, declared in _DECLARED.items()
+        if name in tables
+    )
+    text = _TEMPLATE.with_suffix(".h").read_text("utf-8")
+    text = text.replace("/* ", f"/* {_title(deployed)}\n\n   ", 1)
+    text = text.replace("/* SIZES */", defined).replace("/* TABLES */", values)
+    return text.replace("machine_", f"{prefix}_").replace("MACHINE_", f"{prefix.upper()}_")
+
+
+def _title(deployed: Deployed) -> str:
+    return f"Kinematics of {_plain(deployed.mechanism.name)}, written by pincal {__version__}."
+
+
+def _plain(text: str) -> str:
+    """Return a name that ends neither a comment nor a text."""
+    return re.sub(r"[^\w .+-]", "_", text)
+
+
+def _c(value: Any) -> str:
+    """Return a value in C: an array or a struct in braces, whose fields are the keys of a table."""
+    if isinstance(value, dict):
+        counted = [(f"n_{name}", len(v)) for name, v in value.items() if isinstance(v, Several)]
+        fields = (f".{name} = {_c(v)}" for name, v in (*counted, *value.items()))
+        return f"{{{', '.join(fields)}}}"
+    if isinstance(value, Several):
+        return f"(const {value.kind}[]){_c([*value])}" if value else "NULL"
+    if isinstance(value, str):
+        return f'"{_plain(value)}"'
+    if isinstance(value, float):
+        return re.sub(r"\binf\b", "INFINITY", repr(value))
+    if isinstance(value, int):
+        return str(int(value))
+    return f"{{{', '.join(map(_c, value)) or 0}}}"
+
+
+def _leg(machine: Mechanism, closure: LegClosure) -> Table:
+    leg, law = closure.leg, sensor_law(closure)
+    sources = {name: len(leg.moving) + place for place, name in enumerate(leg.deformed)}
+    deformations: list[Table] = [{"terms": Several("machine_term", ())} for _ in leg.deformed]
+    for term in closure.deformations.terms:
+        deformations[term.target]["terms"].append(_term(machine, leg, term, len(leg.deformed)))
+    ends: list[Table] = [
+        {
+            "rows": Several("int", machine.platform.closing(end)),
+            "loop": isinstance(end.meets, str),
+            "tip": _chain(leg, _path(leg, end.tip), sources),
+            "frame": _chain(leg, _path(leg, end.meets), sources),
+            "point": _chain(leg, () if end.point is None else (end.point,), sources),
+        }
+        for end in leg.every_end
+    ]
+    limits = [[j.lower, j.upper] if j.limited else [-np.inf, np.inf] for j in leg.moving]
+    return {
+        "name": leg.name,
+        "joints": Several("machine_text", [joint.name for joint in leg.moving]),
+        "turns": [joint.turns for joint in leg.moving],
+        "limits": limits,
+        "home": leg.home.tolist(),
+        "active": Several("int", leg.active),
+        "passive": Several("int", leg.passive),
+        "unknown": Several("int", [*leg.active, *leg.passive]),
+        "rows": sum(len(end["rows"]) for end in ends),
+        "size": float(leg.size),
+        "arm": leg.is_arm,
+        "mode": home_mode(leg, machine.platform),
+        "sensors": _sensors(machine, leg, law),
+        "deformations": Several("machine_deformation", deformations),
+        "form": _form(closure),
+        "ends": Several("machine_end", ends),
+    }
+
+
+def _path(leg: Leg, end: str | Joint) -> list[Joint]:
+    """Return the joints on the way to a joint of the leg; none to one of the platform's."""
+    return [leg.joints[place] for place in leg.path(end)] if isinstance(end, str) else []
+
+
+def _rows(matrix: Array) -> list[float]:
+    return [float(value) for value in matrix[:3].ravel()]
+
+
+def _chain(
+    leg: Leg, joints: Sequence[Joint], sources: dict[str, int], tip: Array | None = None
+) -> Table:
+    """Return the joints of a chain that move, each with what is constant behind it.
+
+    Joints have the places of the leg's moving joints; parameters move as well that have a source.
+    Its tip is seen from the last joint's link as ``tip``, shape (4, 4).
+    """
+    elements, rows, geared, placed = elementary_joints(leg, joints)
+    for element, column, parameter, sign in geared:
+        rows[element, column] += sign * leg.nominal[parameter]
+    named, moving = leaders(leg, joints), [joint.name for joint in leg.moving]
+    places: list[int | None] = [moving.index(name) for name in named]
+    places += [sources.get(name) for name in leg.parameter_names]
+    constants = rows[:, len(named) :] @ leg.nominal
+    moves, behind = list[Any](), [np.eye(4)]
+    for elementary, row, constant in zip(elements, rows, constants, strict=True):
+        if elementary.placement:
+            behind[-1] = behind[-1] @ np.reshape(elementary.placement, (4, 4))
+        axis = _AXES.get(elementary.axis[-1], np.array(elementary.vector)).tolist()
+        turns = elementary.axis.startswith("r")
+        pairs = zip(places, row, strict=True)
+        rates = [(place, float(rate)) for place, rate in pairs if place is not None and rate]
+        if rates:
+            moves.append((turns, axis, len(rates), Several("machine_rate", rates)))
+            behind.append(np.eye(4))
+        joint = Joint("", "revolute" if turns else "prismatic", axis=tuple(axis))
+        behind[-1] = behind[-1] @ joint.motion(np.array([constant]))[0]
+    for matrix in (np.reshape(placed, (4, 4)) if placed else None, tip):
+        behind[-1] = behind[-1] if matrix is None else behind[-1] @ matrix
+    start, *ends = map(_rows, behind)
+    joined = [(*move, end) for move, end in zip(moves, ends, strict=True)]
+    return {"start": start, "moves": Several("machine_move", joined)}
+
+
+def _sensors(machine: Mechanism, leg: Leg, law: SensorLaw) -> Several:
+    sensors: list[Table] = [
+        {"slope": float(slope), "start": float(start), "terms": Several("machine_term", ())}
+        for slope, start in zip(law.slope, law.start, strict=True)
+    ]
+    for term in law.terms:
+        sensors[term.target]["terms"].append(_term(machine, leg, term, len(sensors)))
+    return Several("machine_sensor", sensors)
+
+
+def _term(machine: Mechanism, leg: Leg, placed: PlacedTerm, known: int) -> tuple[Any, ...]:
+    """Return amplitude, place among influences (-1: the reading), and function of a term.
+
+    Of a function a and b, and an exponent: ((x - b) / a)ⁿ, or sin(a x + b) if it is 0.
+    """
+    basis, term = placed.term.basis, placed.term
+    if not term.has_form:
+        raise MechanismError(
+            f"term {term.parameter!r} of {leg.name} is a function of your own, which no file can "
+            "hold; write a table of corrections instead (pincal export … -o corrections.csv)"
+        )
+    place = -1
+    if placed.column >= known:
+        place = machine.influences.index(leg.influences[placed.column - known])
+    if isinstance(basis, Harmonic):
+        form = (float(basis.rate), pi / 2 if basis.phase == "cosine" else 0.0, 0)
+    elif isinstance(basis, Power):
+        form = (float(basis.range), float(basis.centre), basis.power)
+    else:
+        form = (float(basis.per), float(basis.reference), 1)  # type: ignore[attr-defined]
+    return float(placed.amplitude), place, *form
+
+
+def _form(closure: LegClosure) -> Table:
+    """Return a closed form: of kind 1 a strut, 2 a rod on a carriage, 3 on a crank, 0 if none."""
+    form = closed_form(closure)
+    if form is None:
+        return {"kind": 0}
+    return {
+        "kind": 1 if form.frame is None else 3 if form.radius else 2,
+        "plane": closure.platform.space == 2,
+        "centre": form.centre.tolist(),
+        "axes": form.axes.tolist(),
+        "delta": form.delta,
+        "side": form.side,
+        "length": form.length,
+        "mode": form.mode,
+        "radius": form.radius,
+        "frame": np.zeros((3, 3)).tolist() if form.frame is None else form.frame.tolist(),
+    }
+
+
+def _load(machine: Mechanism) -> Table:
+    """Return what weighs on an arm as drawn, and which influences its loads are."""
+    if not machine.weighs or not machine.loaded:
+        counted = {"active": "int", "sensors": "machine_sensor", "bodies": "machine_body"}
+        counted["columns"] = "machine_load_column"
+        nothing = {name: Several(kind, ()) for name, kind in counted.items()}
+        return {"gravity": [0.0] * 3, "width": 1, **nothing}
+    drawing, load = machine.drawing, machine.load or Load()
+    (leg, *further), n = drawing.legs, len(drawing.legs[0].moving)
+    owners = [name.removeprefix(f"{LOAD}_") for name in machine.loaded]
+    at_tool = [f"{leg.name}.{name}" for name in leg.point.placement.parameter_units]
+    if further or not leg.is_arm or set(owners).intersection(at_tool):
+        raise MechanismError(
+            f"terms of {machine.name!r} follow loads of a tool, or of a machine with loops, which "
+            "no file computes; write a table of corrections instead (pincal export … -o "
+            "corrections.csv)"
+        )
+    named = dict(zip(leg.reading_names, leg.active, strict=True))
+    named |= {name: n + place for place, name in enumerate(leg.parameter_ids)}
+    places = [machine.influences.index(name) for name in machine.loaded]
+    columns = zip(places, map(named.__getitem__, owners), strict=True)
+    sources = {name: n + place for place, name in enumerate(leg.parameter_names)}
+
+    def body(mass: float, link: Joint, T_link_body: Array, centre: Sequence[float]) -> Any:
+        shift = np.eye(4)
+        shift[:3, 3] = centre
+        return float(mass), _chain(leg, _path(leg, link.name), sources, T_link_body @ shift)
+
+    T_tip_platform = np.asarray(np.linalg.inv(leg.point.placement.origin()))
+    bodies = [body(load.mass, leg.joints[-1], T_tip_platform, load.centre)]
+    bodies += [body(joint.mass, joint, np.eye(4), joint.centre) for joint in leg.joints]
+    law = sensor_law(LegClosure(leg, drawing.platform))
+    return {
+        "gravity": [float(value) for value in load.gravity],
+        "width": n + len(leg.parameters),
+        "active": Several("int", leg.active),
+        "sensors": _sensors(drawing, leg, law),
+        "bodies": Several("machine_body", [body for body in bodies if body[0]]),
+        "columns": Several("machine_load_column", [*columns]),
+    }
