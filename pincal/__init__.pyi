@@ -46,7 +46,7 @@ from .model.sensor import Sensor
 from .model.setup import Setup, Systematic, Target
 from .model.terms import Cables, Harmonic, Load, Power, Share, Term
 from .show.deployment import deploy
-from .show.pictures.picture import picture
+from .show.picture import picture
 from .show.view.view import view
 from .symmetry.carry import generate
 from .symmetry.detect import symmetry_group

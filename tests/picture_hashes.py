@@ -16,7 +16,7 @@ from PIL import Image
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.show.pictures.files import drawing, figure_bytes
+from pincal.show.style import drawing, figure_bytes
 
 KEPT = Path(__file__).with_name("picture_hashes.txt")
 #: Bits by which two machines' letters may differ.

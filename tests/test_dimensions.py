@@ -13,7 +13,7 @@ from neighbours import skeleton
 import pincal
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import joints_at
-from pincal.show.pictures.dimensions import Dimension, dimensions_of, symbol
+from pincal.show.dimensions import Dimension, dimensions_of, symbol
 
 KINDS = ["5R", "3RRR", "3PRR", "3RPR", "6UPS", "delta", "linear_delta", "8cable", "4cable", "6RUS"]
 

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal import compute_workspace
+from pincal.show.charts import workspace_figure
 from pincal.show.tables import outside_table, parameters_table
-from pincal.show.workspaces import workspace_figure
 from pincal.workspace.axes import Axis
 from pincal.workspace.grid import default_grid
 

@@ -22,8 +22,7 @@ from matplotlib.patches import FancyArrowPatch
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.show.pictures.painter import paint
-from pincal.show.pictures.picture import Picture
+from pincal.show.picture import Picture, paint
 from pincal.show.style import ACTIVE
 from pincal.show.view.bodies import Shape, body
 

@@ -6,7 +6,7 @@ import pytest
 from picture_hashes import SAME, apart, difference_hash, kept, pictures
 
 import pincal
-from pincal.show.pictures.files import figure_bytes
+from pincal.show.style import figure_bytes
 
 KEPT = kept()
 

@@ -560,18 +560,3 @@ def test_dark_ground_has_its_own_colours(opened: Any) -> None:
     page.wait_for_function(first, arg=dark[0])
     assert page.evaluate(colours) == light
     assert window.clean(), window.said
-
-
-def test_slider_goes_from_nominal_to_identified(opened: Any) -> None:
-    """At its ends the identified machine is the nominal one and itself, between in between."""
-    mechanism, poses = plan("3RRR")
-    true = pincal.disturb(mechanism, 1e-3, seed=1)
-    view = pincal.view(mechanism, poses, identified=true)
-    window = opened(view)
-    identified = view.scene.magnified
-    assert identified is not None
-    ends = view.scene.body.placements[0], identified.placements[0]
-    for share in (0.0, 0.5, 1.0):
-        window.page.locator("#share").fill(str(share))
-        expected = (1 - share) * ends[0] + share * ends[1]
-        assert np.allclose(window.matrices(view, "identified"), expected, atol=1e-9)

@@ -21,8 +21,8 @@ from pincal.instruments.board import SHARE, Board, BoardKind, read_board
 from pincal.instruments.detect import PhotoPoints, checked, points_in
 from pincal.model.checks import counted, listed
 from pincal.option import option
-from pincal.show.pictures.board import board_figure, contact_sheet
-from pincal.show.pictures.files import figure_bytes, picture_path
+from pincal.show.board import board_figure, contact_sheet
+from pincal.show.style import figure_bytes, picture_path
 
 Paper = Literal["a4", "letter", "a3", "a2", "a1", "a0"]
 

@@ -25,8 +25,7 @@ from pincal.files.table import read_table
 from pincal.model.checks import listed
 from pincal.option import option
 from pincal.show.charts import Plots
-from pincal.show.pictures.files import drawing, picture_path, save_figure
-from pincal.show.style import PAGE_WIDTH
+from pincal.show.style import PAGE_WIDTH, drawing, picture_path, save_figure
 from pincal.show.view.scene import Scene
 from pincal.types import Mask
 

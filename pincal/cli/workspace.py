@@ -17,9 +17,9 @@ from pincal.files.columns import columns_of
 from pincal.files.output import refuse_existing_of, writing_together
 from pincal.files.table import write_table
 from pincal.option import option
-from pincal.show.pictures.files import picture_path, save_figure
+from pincal.show.charts import workspace_figure
+from pincal.show.style import picture_path, save_figure
 from pincal.show.tables import workspace_table
-from pincal.show.workspaces import workspace_figure
 from pincal.words.units import WRITTEN
 from pincal.workspace.axes import Axis
 from pincal.workspace.criteria import refuse_readings

@@ -23,9 +23,8 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter
 from pincal.show import answers
 from pincal.show.misses import workspace_errors
-from pincal.show.pictures.files import page_figure
 from pincal.show.report import Page
-from pincal.show.style import GROUND, IDENTIFIED, OUTLIER
+from pincal.show.style import GROUND, IDENTIFIED, OUTLIER, page_figure
 from pincal.types import Array
 from pincal.words.numbers import (
     SMALL,

@@ -13,8 +13,8 @@ import numpy as np
 from pincal.calibration.session import PLANNED, Checked, Session
 from pincal.errors import FileError, MeasurementError
 from pincal.model.checks import counted
-from pincal.show.pictures.files import figure_bytes
-from pincal.show.pictures.picture import picture
+from pincal.show.picture import picture
+from pincal.show.style import figure_bytes
 from pincal.show.view.view import Respond
 from pincal.words.faults import causes
 from pincal.words.numbers import amount, percent

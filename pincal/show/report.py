@@ -28,8 +28,8 @@ from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show import answers, tables
 from pincal.show.misses import WorkspaceErrors, workspace_errors
-from pincal.show.pictures.files import page_figure
-from pincal.show.pictures.picture import picture
+from pincal.show.picture import picture
+from pincal.show.style import page_figure
 from pincal.show.view.scene import MOST_POSES, VERIFICATION
 from pincal.words.numbers import capital, reading_in
 from pincal.words.table import Table

@@ -44,7 +44,6 @@
 
   for (const body of data.bodies) {
     body.matrices = doubles(body.matrices);
-    body.share = 1; // of what differs from the nominal machine that is drawn
     body.objects = body.paths.map((path) => node(path).object);
     body.shapes.forEach((shapes, part) => shapes.forEach((shape) => {
       const geometry = geometries[shape.kind](shape);
@@ -65,12 +64,10 @@
 
   function place(body, index) {
     // matrices hold columns of 3 for each part; NaN where it is not to be drawn
-    const [nominal, own] = [drawn.matrices[0], drawn.matrices[index]];
-    const mixed = body.share !== 1 && nominal.length === own.length;
+    const own = drawn.matrices[index];
     body.objects.forEach((object, part) => {
       if (body.paths[part].includes("/base/")) return; // stands still
-      let m = own ? own.subarray(12 * part, 12 * part + 12) : [NaN];
-      if (mixed) m = m.map((value, i) => value * body.share + (1 - body.share) * nominal[12 * part + i]);
+      const m = own ? own.subarray(12 * part, 12 * part + 12) : [NaN];
       object.visible = !Number.isNaN(m[0]);
       object.matrixAutoUpdate = false; // sheared parts have no quaternion
       if (object.visible) object.matrix.set(m[0], m[3], m[6], m[9], m[1], m[4], m[7], m[10], m[2], m[5], m[8], m[11], 0, 0, 0, 1);
@@ -78,12 +75,6 @@
     });
     viewer.set_dirty();
   }
-
-  // The line from the platform of a mechanism in space down to the ground
-
-  const platform = data.bodies[0].paths.indexOf(PLATFORM);
-  const drop = new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0x777777 }));
-  if (!data.planar) node("meshcat/drop").object.add(drop);
 
   // Colours on dark ground; materials keep their own where the palette has none
 
@@ -119,8 +110,6 @@
   function draw(state) {
     drawn = state;
     data.bodies.forEach(place);
-    const [x, y, z] = drawn.matrices[0].subarray(12 * platform + 9, 12 * platform + 12);
-    drop.geometry.setFromPoints([new THREE.Vector3(x, y, z), new THREE.Vector3(x, y, data.level)]);
     const problems = data.bodies.map(({ name }, i) => drawn.problems[i] && (i ? `${name}: ` : "") + drawn.problems[i]).filter(Boolean);
     find("problem").textContent = problems.length ? `Not drawn: ${problems.join("; ")}` : "";
     find("problem").hidden = !problems.length;
@@ -172,6 +161,7 @@
   }
 
   const [{ matrices, paths }] = data.bodies;
+  const platform = paths.indexOf(PLATFORM);
   const places = data.set.map((_, index) => turned(matrices.subarray(12 * (index * paths.length + platform) + 9)));
   Dots({ data, viewer, pane, node, element, places, about, show: (index) => [play(false), show(index)] });
   const jog = window.Jog ? Jog({ data, viewer, element, doubles, halt: () => play(false), draw: moved, reset: () => show(pose) }) : null;
@@ -209,21 +199,6 @@
       if (on) others().forEach((other) => boxes[other.path].click());
     }, colour);
   });
-
-  // Between the nominal machine and the identified one
-
-  if (data.bodies.length > 1) {
-    const line = element("label", "", find("layers"));
-    element("span", "nominal", line);
-    const input = element("input", "", line);
-    Object.assign(input, { type: "range", id: "share", className: "share", min: 0, max: 1, step: 0.02, value: 1, ariaLabel: "from nominal to identified" });
-    element("span", "identified", line);
-    input.addEventListener("input", () => {
-      data.bodies[1].share = input.valueAsNumber;
-      place(data.bodies[1], 1);
-      if (!boxes["meshcat/identified"].checked) boxes["meshcat/identified"].click();
-    });
-  }
 
   const labels = Labels({ data, viewer, pane, node, element, coloured, turned });
   checkbox(find("layers"), "names of legs", true, labels.show);

@@ -1,6 +1,7 @@
 """``pincal.picture``: a view's scene as a flat picture, for pages that nothing moves on.
 
-Mechanisms in a plane are seen from above, others from the side, in parallel projection.
+Mechanisms in a plane are seen from above, others from the side, in parallel projection: shapes with
+dark outlines are painted from the farthest to the nearest.
 """
 
 from __future__ import annotations
@@ -13,10 +14,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
@@ -24,10 +27,17 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import home_of, joints_at
 from pincal.model.checks import EXACT, counted
 from pincal.model.measurements import EVERY_LEG, Plan
-from pincal.show.pictures.dimensions import Dimension, dimensions_of, symbol
-from pincal.show.pictures.files import drawing, figure_bytes, save_figure
-from pincal.show.pictures.painter import Names, draw_dimensions, paint
-from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, RASTER_FROM
+from pincal.show.dimensions import Dimension, Names, dimensions_of, draw_dimensions, symbol
+from pincal.show.style import (
+    ACTIVE,
+    IDENTIFIED,
+    MARKERS,
+    RASTER_FROM,
+    drawing,
+    figure_bytes,
+    save_figure,
+)
+from pincal.show.view.bodies import Shape
 from pincal.show.view.scene import Scene, scene
 from pincal.types import Array
 from pincal.words.numbers import amount
@@ -43,7 +53,7 @@ class Picture:
     """Leg whose parameters are drawn as dimensions, if any."""
 
     def draw(self, axes: Axes) -> Axes:
-        """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""
+        """Draw into axes, best inside ``pincal.show.style.drawing()``."""
         scene, dimensions = self.scene, self._drawn
         V, (low, high) = scene.axes, self._extent
         ground = scene.ground()
@@ -218,3 +228,56 @@ def _write_values(axes: Axes, scene: Scene, name: str) -> None:
     columns = int(np.clip(_TITLE / longest, 1, _VALUES))
     lines = [",  ".join(values[i : i + columns]) for i in range(0, len(values), columns)]
     axes.set_title("\n".join(lines), size=7.5, pad=14.0, parse_math=True)
+
+
+_DARK, _EDGE = 0.55, 0.5  # brightness of an outline, of its shape's; its width, [point]
+_SHORT = 1e-4  # of a rod's radius: shorter than that it is not seen
+_TURNS = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+_CIRCLE = np.stack((np.cos(_TURNS), np.sin(_TURNS)), axis=1)
+_CORNERS = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
+
+
+def paint(axes: Axes, shapes: list[tuple[Shape, Array]], V: Array, colour: str = "") -> None:
+    """Paint shapes, with ``T_base_part``, [m], in their colours, or in one that is seen through.
+
+    V is what points right, up and towards the viewer, shape (3, 3), rows in the base frame.
+    """
+    polygons = []
+    for shape, place in shapes:
+        points = _points(shape, place @ shape.T_link_shape, V)
+        if len(points):  # sorted by the nearest point, but of plates, on which others stand
+            depth = float(np.quantile(points @ V[2], 0.25 if shape.kind == "mesh" else 1.0))
+            polygons.append((round(depth, 9), _hull(points @ V[:2].T), colour or shape.colour))
+    polygons.sort(key=lambda polygon: polygon[0])
+    fills = np.array([to_rgb(fill) for *_, fill in polygons]).reshape(-1, 3)
+    painted = PolyCollection(
+        [outline for _, outline, _ in polygons],
+        facecolors=fills,
+        edgecolors=_DARK * fills,
+        lw=_EDGE,
+        joinstyle="round",
+        alpha=0.45 if colour else None,
+    )
+    axes.add_collection(painted)
+
+
+def _points(shape: Shape, T: Array, V: Array) -> Array:
+    """Return points whose hull is a shape as seen, shape (n, 3), [m]; none of a rod too short."""
+    if shape.kind == "sphere":
+        return T[:3, 3] + shape.size[0] * np.concatenate((_CIRCLE @ V[:2], V[2:]))
+    points = shape.points if shape.points is not None else _CORNERS
+    if shape.kind == "box":
+        points = _CORNERS * shape.size
+    elif shape.kind == "cylinder":
+        radius, length = shape.size
+        if length * np.linalg.norm(T[:3, 2]) < _SHORT * radius:  # it stretches with its joint
+            return np.zeros((0, 3))
+        ends = [np.insert(radius * _CIRCLE, 2, end, axis=1) for end in (-length / 2, length / 2)]
+        points = np.concatenate(ends)
+    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+
+
+def _hull(points: Array) -> Array:
+    """Return the corners of the convex hull of points in a plane, shape (n, 2), in order."""
+    corners = points[ConvexHull(points).vertices]
+    return np.roll(corners, -int(np.lexsort(corners.round(9).T)[0]), axis=0)  # the lowest first

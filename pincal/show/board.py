@@ -12,8 +12,7 @@ from matplotlib.path import Path as Outline
 from pincal.errors import MeasurementError
 from pincal.instruments.board import CHEQUERED, Board
 from pincal.instruments.detect import PhotoPoints
-from pincal.show.pictures.files import drawing
-from pincal.show.style import LEGS, OUTLIER
+from pincal.show.style import LEGS, OUTLIER, drawing
 
 PAPERS = {
     "a4": (0.210, 0.297),

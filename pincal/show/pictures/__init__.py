@@ -1,1 +1,0 @@
-"""A mechanism as a flat picture, in files and on pages."""
