@@ -23,6 +23,7 @@ from pincal.estimation.rows import turned_rows, white_rows
 from pincal.formats.arm import arm
 from pincal.instruments.board import Board
 from pincal.instruments.placing import by_hand_eye
+from pincal.kinematics.configurations import legs_at
 
 Array = np.ndarray
 BOARD = {f"p{i}{j}": (0.03 * i, 0.03 * j, 0.0) for i in range(3) for j in range(3)}
@@ -490,6 +491,39 @@ def test_what_a_camera_cannot_see_is_not_planned() -> None:
     assert errors[0] > errors[1]
     with pytest.raises(pincal.MeasurementError, match="say that roughly"):
         pincal.forecast("6UPS", plan, setup=pincal.Setup(instruments=(_unknown(true),)))
+
+
+def test_a_forecast_counts_what_cameras_see_alone() -> None:
+    """Information is that of pixels and readings, by a dense Jacobian; no pose is measured."""
+    board = pincal.Markers(Board("b", "charuco", (4, 5), 0.04).points, "b")
+    camera = replace(_camera(), known=False, markers=board, lens=_lens("pinhole", unknown=True))
+    robot, rng = pincal.load_mechanism("6UPS"), np.random.default_rng(0)
+    poses = robot.platform.home + 0.05 * rng.uniform(-1.0, 1.0, (12, 6))
+    setup, noise = pincal.Setup(instruments=(camera,)), pincal.Noise(reading=1e-5, pixel=0.2)
+    planned = pincal.forecast(robot, poses, noise, setup=setup)
+    assert planned.measured == (*camera.columns,)
+    matrices = robot.platform.transforms(poses).as_matrix()
+    nominal = np.array([p.nominal for p in camera.parameters])
+    zeros = np.zeros((len(poses), len(camera.columns)))
+    _, by_twist, by_camera = camera.evaluate(matrices, nominal, zeros)
+    legs = legs_at(robot, poses)
+    stacked, n = [], legs.parameter.shape[2]
+    for i in range(len(poses)):  # rows of readings, then of pixels; the pose is an unknown
+        rows = np.linalg.solve(legs.reading[i], np.hstack((legs.parameter[i], legs.pose[i])))
+        legs_rows = np.hstack((rows[:, :n], np.zeros((6, len(nominal))), rows[:, n:])) / 1e-5
+        pixels = np.hstack((np.zeros((2 * len(board.points), n)), by_camera[i], by_twist[i])) / 0.2
+        J = np.vstack((legs_rows, pixels))
+        free, pose = J[:, :-6], np.linalg.qr(J[:, -6:])[0]
+        stacked.append(free - pose @ (pose.T @ free))
+    rows = np.vstack(stacked)
+    sizes = np.linalg.norm(rows, axis=0)
+    _, s, axes = np.linalg.svd(rows / sizes, full_matrices=False)
+    rank = int((s > 1e-9 * s[0]).sum())
+    assert rank == planned.rank.rank == len(sizes) - 12
+    root = axes[:rank].T / s[:rank] / sizes[:, None]
+    wanted = replace(planned, covariance=root[:n] @ root[:n].T)
+    errors = [forecast.platform_error(poses).std for forecast in (planned, wanted)]
+    np.testing.assert_allclose(*errors, rtol=1e-4)
 
 
 DETECTIONS = motoman.DATA / "motoman_cameras" / "detections.csv"

@@ -171,11 +171,10 @@ class PlanOptions(SetupOptions):
         """Return what is measured of the platform, as ``--measure`` says it."""
         platform = mechanism.platform
         of_kind = {"pose": ("m", "rad"), "position": ("m",), "orientation": ("rad",), "nothing": ()}
-        if self.measure is None and setup.contacts:  # which need no pose
-            return tuple(setup.required)
-        measure = self.measure or "pose"
-        if measure not in of_kind:
-            return tuple(measure.replace(" ", "").split(","))
+        if self.measure is None:
+            return setup.measured(mechanism)
+        if self.measure not in of_kind:
+            return tuple(self.measure.replace(" ", "").split(","))
         units = zip(platform.freedoms, platform.units, strict=True)
-        freedoms = (name for name, unit in units if unit in of_kind[measure])
+        freedoms = (name for name, unit in units if unit in of_kind[self.measure])
         return (*freedoms, *setup.columns(mechanism))

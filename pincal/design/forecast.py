@@ -19,6 +19,7 @@ from pincal.attached import attached
 from pincal.blas import one_thread
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
+from pincal.estimation.noise import RowNoise
 from pincal.estimation.observability.gauge import split_frames
 from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
 from pincal.estimation.observability.indices import (
@@ -89,7 +90,7 @@ def information_rows(
         raise MeasurementError(
             f"measured: expected names of {', '.join(offered)}; got {described(measured)}"
         )
-    names = setup.quantities(platform, offered if measured is None else measured)
+    names = setup.quantities(platform, setup.measured(mechanism) if measured is None else measured)
     if unknown := [name for name in names if name not in offered]:
         raise MeasurementError(
             f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "
@@ -103,25 +104,33 @@ def information_rows(
     observation = Observation(mechanism, data, setup)
     start = at_touch(observation, matrices, observation.external.start)
     observation = observation.visible(matrices, start)
-    chosen = [observation.names.index(name) for name in names]
-    value, *slopes = observation.residuals(matrices, start)
-    by_pose, by_external = (rows[:, chosen] for rows in slopes)
+    chosen = np.array([observation.names.index(name) for name in names], dtype=int)
+    value, by_pose, by_external = observation.residuals(matrices, start)
     predicted = {name: value[:, observation.names.index(name)] for name in columns}
     planned = replace(data, extra=predicted)  # less what was measured: zero
-    scatter = observation.row_noise(planned, noise).roots[:, chosen]
+    observation = observation.with_noise(observation.row_noise(planned, noise))
+    scatter, sigma = observation.noise, observation.sigma
+    points = chosen[observation.single[chosen] & (sigma[:, chosen] > 0.0).all(axis=0)]
+    others = np.setdiff1d(chosen, points)
+    roots = RowNoise(sigma[:, others]).roots if len(points) else scatter.roots[:, others]
+    # points of a photograph say no more than R: σ⁻¹ (B, by external) = Q R
+    seen = np.concatenate((by_pose, by_external), axis=2)[:, points] / sigma[:, points, None]
+    R, dof = np.asarray(np.linalg.qr(seen, mode="r")), by_pose.shape[2]
+    unit = np.broadcast_to(np.eye(R.shape[1]), (count, R.shape[1], R.shape[1]))
     # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
     # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
-    pose = np.concatenate((legs.pose, by_pose), axis=1)
+    pose = np.concatenate((legs.pose, by_pose[:, others], R[:, :, :dof]), axis=1)
     n_rows = legs.parameter.shape[1]
-    white = white_rows(pose, block_diagonal((noise.reading * legs.reading, scatter)))
+    white = white_rows(pose, block_diagonal((noise.reading * legs.reading, roots, unit)))
+    by_external = np.concatenate((by_external[:, others], R[:, :, dof:]), axis=1)
     rows = white(block_diagonal((legs.parameter, by_external)))
     if not rows.size:
         raise MeasurementError(
             f"{', '.join(names) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
-    systematic = observation.systematic(matrices, start)[:, chosen]
-    errors = white(np.pad(systematic, ((0, 0), (n_rows, 0), (0, 0))))
+    systematic = observation.systematic(matrices, start)[:, others]
+    errors = white(np.pad(systematic, ((0, 0), (n_rows, R.shape[1]), (0, 0))))
     return rows, errors, (*(p.id for p in mechanism.parameters), *observation.external.names), names
 
 
@@ -227,7 +236,8 @@ def forecast(
         poses: Poses to measure, coordinates of shape (N, dof), or a plan; all sensors are read.
         noise: Standard deviations of what is measured.
         measured: Freedoms of the platform that are measured (see ``Platform.freedoms``; axes of
-            the measurements' frame) and columns of the setup; all if not given.
+            the measurements' frame) and columns of the setup; all if not given, but no freedom
+            where contacts or cameras measure.
         setup: What measured numbers will mean: unknown frame, targets, distances.
 
     Raises:

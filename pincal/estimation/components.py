@@ -29,7 +29,7 @@ _LARGEST_STEP = 10.0  # factor by which a variance changes at once, at most
 _SMALLEST = 1e-3  # standard deviation over the largest, each over its unit, if it is not exact
 _ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
 
-Tie = tuple[int, float]  # positions or orientations, and how much of their noise a sensor has
+Tie = tuple[int, float]  # the group of what was measured, and how much of its noise a sensor has
 
 
 @dataclass(frozen=True)
@@ -179,24 +179,31 @@ def estimated_noise(
 
 
 def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
-    """Return to which noise that of readings is tied if it moves the platform much farther.
+    """Return to which noise that of readings is tied if it moves what was measured much farther.
 
     What the model lacks looks like noise of the readings, and poses near singularities would
     then judge the model. It belongs to what was measured of the platform: only repeated rows may
     show sensors that are so noisy; none a quarter as noisy where residuals say that the model
-    lacks something. None if poses are as measured, or nothing of them was.
+    lacks something. Cameras show what pixels move. None if poses are as measured, or nothing was.
     """
     problem, linear, n_legs = fit.problem, fit.last, fit.problem.leg_block.n_rows
-    columns = zip(problem.observation.units, problem.active[fit.good, n_legs:].T, strict=False)
-    units = {unit for unit, measured in columns if measured.any()}
-    group, unit = (0, "m") if "m" in units else (1, "rad")
-    moving = np.array(problem.platform.units) == unit
-    if not (units and moving.any()):
+    units, active = np.array(problem.observation.units), problem.active[:, n_legs:]
+    shown = {unit: (units == unit) & active[fit.good].any(axis=0) for unit in ("m", "rad", "px")}
+    unit = next((unit for unit, columns in shown.items() if columns.any()), None)
+    if unit is None:
         return None
     moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ linear.by_measured  # least squares of legs
-    lever = float(np.sqrt(np.median((moved**2).sum(axis=2), axis=0)[moving].mean()))
+    if unit == "px":
+        seen = active[:, shown[unit]]
+        moved = linear.by_pose[:, n_legs:][:, shown[unit]] @ moved
+        squares = np.median((moved**2).sum(axis=2)[seen])
+    else:
+        moving = np.array(problem.platform.units) == unit
+        squares = np.median((moved**2).sum(axis=2), axis=0)[moving]
+    lever = float(np.sqrt(np.mean(squares))) if np.size(squares) else 0.0
+    group = {"m": 0, "rad": 1, "px": 3}[unit]
     most = (1.0 + _TIED) * _SENSOR if lacks else _SENSORS_ONLY
-    far = lever * noise.reading > most * (noise.position, noise.orientation)[group]
+    far = lever * noise.reading > most * (*vars(noise).values(),)[group]
     return (group, _SENSOR / lever) if far else None
 
 

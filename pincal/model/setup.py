@@ -282,6 +282,13 @@ class Setup:
         """Columns of lengths that distances and gauges read."""
         return [name for relation in self.relations(3) for name in relation.read]
 
+    def measured(self, mechanism: Mechanism) -> tuple[str, ...]:
+        """Return what is measured if nobody says less: no pose where contacts or cameras are."""
+        if not self.frameless:
+            return (*mechanism.platform.freedoms, *self.columns(mechanism))
+        instruments = (column for device in self.instruments for column in device.columns)
+        return tuple(dict.fromkeys((*self.required, *instruments)))
+
     def quantities(self, platform: Platform, names: Iterable[str]) -> tuple[str, ...]:
         """Return names of quantities, in place of a contact's those that it stands for."""
         axes = self.contact_axes(platform)

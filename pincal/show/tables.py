@@ -11,7 +11,7 @@ from pincal.calibration.terms.screen import Candidate
 from pincal.calibration.validation import MISSES
 from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
-from pincal.model.checks import counted
+from pincal.model.checks import counted, listed
 from pincal.model.mechanism import Mechanism
 from pincal.show.misses import (
     WorkspaceErrors,
@@ -93,7 +93,7 @@ def selection_table(selection: Selection, name: str = "") -> Table:
         Cell(selection.candidates, f"{selection.candidates:,}"),
         selection.efficiency,
         Cell(rank.rank, f"{rank.rank} of {rank.n_params}"),
-        ", ".join(selection.measured),
+        listed(selection.measured),
     )
     return Table(
         f"{name}: configurations for {_GOALS[selection.protocol]}{words}",
@@ -106,7 +106,7 @@ def selection_text(selection: Selection) -> str:
     """Return a selection as text: the table, or a line, what was measured, and the rank."""
     if selection.rank is None:
         return str(selection_table(selection))
-    return f"{selection!r}\nmeasured: {', '.join(selection.measured)}; {selection.rank}"
+    return f"{selection!r}\nmeasured: {listed(selection.measured)}; {selection.rank}"
 
 
 def standard_errors(forecast: Forecast) -> Table:
@@ -119,7 +119,7 @@ def standard_errors(forecast: Forecast) -> Table:
     }
     return Table(
         f"{mechanism.name}: standard errors (1 σ) from {forecast.poses} poses, measured: "
-        f"{', '.join(forecast.measured) or 'nothing'}",
+        f"{listed(forecast.measured) if forecast.measured else 'nothing'}",
         ["parameter", "unit", *mechanism.leg_names],
         [
             (name, SMALL[unit], *(cells.get(f"{leg}.{name}") for leg in mechanism.leg_names))
