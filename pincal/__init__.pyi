@@ -1,7 +1,7 @@
 """The names of ``pincal``, and where each is: imported when it is first used."""
 
-from .architectures.new import new_mechanism
-from .architectures.pulley import over_pulley
+from .architectures.cables import over_pulley
+from .architectures.catalogue import new_mechanism
 from .calibration.calibrate import calibrate, explain
 from .calibration.many import montecarlo
 from .calibration.options import Options

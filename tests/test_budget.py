@@ -14,9 +14,9 @@ from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
     "": 261,
-    "architectures": 640,
+    "architectures": 624,
     "calibration": 7_125,
-    "cli": 3_055,
+    "cli": 3_026,
     "design": 2_330,
     "estimation": 5_028,
     "files": 3_444,
@@ -31,7 +31,7 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 190,
+    "files": 188,
     "page lines": 932,
     "largest folder": 16,
     "vague names": 0.01,

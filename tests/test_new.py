@@ -15,8 +15,7 @@ from data_sheets import FORMS, wrapped
 from marks import quick, some_slow
 
 import pincal
-from pincal.architectures.catalogue import ARCHITECTURES, dh_joints
-from pincal.architectures.new import architecture_of
+from pincal.architectures.catalogue import ARCHITECTURES, architecture_of, dh_joints
 
 PAGE = Path(__file__).parents[1] / "docs" / "your_mechanism.md"
 KINDS = list(FORMS)

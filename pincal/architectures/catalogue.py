@@ -7,27 +7,27 @@ labels are the bundled ones. Cable robots and arms are built from numbers.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import cycle, product
-from math import atan2, pi, radians
+from difflib import get_close_matches
+from itertools import cycle
+from math import pi, radians
 from typing import Any
 
 import numpy as np
 
-from pincal.architectures.dimension import Architecture, Corner, Values, angle, length, text
-from pincal.architectures.pulley import over_pulley
+from pincal.architectures.architecture import Architecture, Corner, Values, angle, length, text
+from pincal.architectures.cables import CABLE_ROBOTS
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.table import is_dataframe, read_table
 from pincal.formats.arm import arm
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
+from pincal.model.checks import must_be
 from pincal.model.joint import Joint
-from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, placement_of
-from pincal.model.platform import Platform
-from pincal.model.sensor import Sensor
 from pincal.symmetry.elements import wrapped
 from pincal.types import Array
 
@@ -154,127 +154,6 @@ _GOUGH = "Hexapod (Gough-Stewart platform), six legs with linear drives"
 _TOWERS = "Linear delta, three carriages on upright towers"
 
 
-# Cable robots
-
-_LABELS = {
-    f"{letter}_{axis}": f"{label}, {axis}"
-    for letter, label in (("A", "anchor"), ("b", "platform's corner"))
-    for axis in "xyz"
-} | {"k": "gain of the reading", "r": "radius of the pulley"}
-_WITHIN, _TURN = 0.8, pi / 9  # of the room that a platform has in its frame; from upright
-
-
-def _cable(number: int, anchor: Array, corner: Array, home: Array) -> Leg:
-    """Return a cable by number; anchor, corner in the platform, home are (2,) or (3,), [m]."""
-    axes = "xyz"[: len(anchor)]
-    values = {f"A_{axis}": float(value) for axis, value in zip(axes, anchor, strict=True)}
-    values |= {f"b_{axis}": float(value) for axis, value in zip(axes, corner, strict=True)}
-    along = home + corner - anchor
-    length = float(np.linalg.norm(along))
-    foot = Placement.of(values, **{axis: f"A_{axis}" for axis in axes})
-    if len(axes) == 2:
-        swivel = [Joint("swivel", "revolute", foot, home=atan2(along[1], along[0]))]
-        direction = (1.0, 0.0, 0.0)
-    else:
-        frame, direction = np.eye(4), (0.0, 0.0, 1.0)  # z along the cable, y level
-        frame[:3, 2] = along / length
-        level = np.cross((0.0, 0.0, 1.0), along)
-        frame[:3, 1] = level / np.linalg.norm(level) if level.any() else (0.0, 1.0, 0.0)
-        frame[:3, 0] = np.cross(frame[:3, 1], frame[:3, 2])
-        turned = foot.at(values, frame)
-        swivel = [
-            Joint("swivel_x", "revolute", turned, (1.0, 0.0, 0.0), -pi / 2, pi / 2),
-            Joint("swivel_y", "revolute", Placement(), (0.0, 1.0, 0.0), -pi / 2, pi / 2),
-        ]
-    line = Joint("line", "prismatic", Placement(), direction, 0.02 * length, 3.0 * length, length)
-    end = Placement.of(values, **{axis: f"b_{axis}" for axis in axes})
-    return Leg(
-        name=f"cable_{number}",
-        joints=(*swivel, line, Joint("tip", "fixed")),
-        point=Joint(f"b_{number}", "fixed", end),
-        sensors=(Sensor("line", form="reading", gain="k", zero="home"),),
-        parameters=(*values.items(), ("k", 1.0)),
-    )
-
-
-def _robot(anchors: Array, corners: Array, platform: Platform) -> Mechanism:
-    """Return a cable robot of anchors and corners, shape (n_cables, 2) or (n_cables, 3), [m]."""
-    home = np.array(platform.home[: anchors.shape[1]])
-    pairs = zip(anchors, corners, strict=True)
-    legs = tuple(_cable(i, *pair, home) for i, pair in enumerate(pairs, start=1))
-    return Mechanism("cables", platform, legs, labels=tuple(_LABELS.items()))
-
-
-def _planar(d: Values) -> Mechanism:
-    """Frame and platform have their middle at the origin; crossed, cables of one side cross."""
-    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
-    side = (1, -1) if d["cables"] == "crossed" else (1, 1)
-    anchors = signs * (d["frame_width"] / 2, d["frame_height"] / 2)
-    corners = signs * side * np.array((d["platform_width"] / 2, d["platform_height"] / 2))
-    return _robot(anchors, corners, Platform("planar", (0.0, 0.0, 0.0)))
-
-
-def _spatial(d: Values) -> Mechanism:
-    """The frame's middle is over the origin; a quarter turn goes one way above, the other below."""
-    anchors, corners = [], []
-    for level, (x, y) in product((1, -1), ((1, 1), (-1, 1), (-1, -1), (1, -1))):
-        z = d["upper"] if level > 0 else d["lower"]
-        anchors.append((x * d["frame_length"] / 2, y * d["frame_width"] / 2, z))
-        side = -level
-        if d["cables"] == "turned":
-            x, y = (-y, x) if level > 0 else (y, -x)
-        elif d["cables"] == "straight":
-            side = level
-        sides = d["platform_length"], d["platform_width"], d["platform_height"]
-        corners.append(np.multiply((x, y, side), sides) / 2)
-    home = Platform("spatial", (0.0, 0.0, d["height"], 0.0, 0.0, 0.0))
-    robot, radius = _robot(np.array(anchors), np.array(corners), home), d["pulley_radius"]
-    if radius:
-        robot = replace(robot, legs=tuple(over_pulley(leg, radius) for leg in robot.legs))
-    return robot
-
-
-def _in_plane(d: Values) -> tuple[Array, Array]:
-    """Return where a platform is well inside its frame, turned by 20° at most."""
-    high = np.array([*_free(d, "width", "height"), _TURN])
-    return -high, high
-
-
-def _in_space(d: Values) -> tuple[Array, Array]:
-    """Return where a platform is well inside its frame, tilted and turned by 20° at most."""
-    half = _free({**d, "frame_height": d["upper"] - d["lower"]}, "length", "width", "height")
-    middle = np.array([0.0, 0.0, (d["upper"] + d["lower"]) / 2])
-    low, high = (*(middle - half), -pi, 0.0, -_TURN), (*(middle + half), pi, _TURN, _TURN)
-    return np.array(low), np.array(high)
-
-
-def _free(d: Values, *sides: str) -> Array:
-    """Return most of half the room that a platform has along the sides of its frame, [m]."""
-    room = [d[f"frame_{side}"] - d[f"platform_{side}"] for side in sides]
-    return _WITHIN * np.maximum(room, 0.0) / 2
-
-
-_FOUR = (
-    length("frame_width", "distance of the anchors along x", 2.0),
-    length("frame_height", "distance of the anchors along y", 0.75, "frame_width"),
-    length("platform_width", "width of the platform", 0.15, "frame_width", below="frame_width"),
-    length("platform_height", "its height", 1.0, "platform_width", below="frame_height"),
-    text("cables", "way of the cables", "crossed", "straight"),
-)
-_EIGHT = (
-    length("frame_length", "distance of the anchors along x", 4.0),
-    length("frame_width", "distance of the anchors along y", 1.0, "frame_length"),
-    length("upper", "height of the upper anchors", 0.75, "frame_length"),
-    length("lower", "height of the lower anchors", 0.1, "upper", least=0.0),
-    length("platform_length", "length of the platform", 0.2, "frame_length", below="frame_length"),
-    length("platform_width", "width of the platform", 0.2, "frame_width", below="frame_width"),
-    length("platform_height", "height of the platform", 1.0, "platform_width"),
-    length("height", "height of the platform's middle at home", 0.5, "upper"),
-    length("pulley_radius", "radius of the swivelling pulleys", 0.0, least=0.0),
-    text("cables", "way of the cables", "turned", "crossed", "straight"),
-)
-
-
 def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
     """Return the joints of a table of Denavit and Hartenberg, the tool's frame last.
 
@@ -327,8 +206,46 @@ _MADE = (
     Architecture("linear-delta", _TOWERS, _LINEAR_DELTA, _linear_delta, _printable),
     Architecture("five-bar", "Planar five-bar, two motors, elbows outward", _FIVE_BAR, _five_bar),
     Architecture("3-RRR", "Planar 3-RRR, three motors", _3RRR, _3rrr),
-    Architecture("cable-4", "Planar cable robot, four cables", _FOUR, _planar, _in_plane),
-    Architecture("cable-8", "Cable robot in space, eight cables", _EIGHT, _spatial, _in_space),
+    *CABLE_ROBOTS,
     Architecture("arm", "Serial arm", _ARM, _arm),
 )
 ARCHITECTURES = {kind.name: kind for kind in _MADE}
+
+
+def new_mechanism(architecture: str, *, name: str = "", **dimensions: Any) -> Mechanism:
+    """Return a mechanism of a data sheet's dimensions: ``new_mechanism("hexapod", height=0.4)``.
+
+    Args:
+        architecture: ``"hexapod"``, ``"delta"``, ``"linear-delta"``, ``"five-bar"``, ``"3-RRR"``,
+            ``"cable-4"``, ``"cable-8"``, or ``"arm"``.
+        name: Of the mechanism; that of the architecture if not given.
+        **dimensions: By name (``pincal new --help`` lists them): lengths [m], angles [rad], texts.
+            Those not given are in proportion to these.
+
+    Raises:
+        MechanismError: no such architecture or dimension; one that cannot be; dimensions with
+            which a leg does not reach home, or is outside its limits there, or with which the
+            legs do not hold the platform there.
+        FileError: the table of an arm is missing or cannot be read.
+        MeasurementError: a table of an arm with a column or cell that is missing or wrong.
+    """
+    kind = architecture_of(architecture)
+    values = kind.complete(dimensions)
+    made = kind.make(values)
+    described = f"{kind.title}: {', '.join(kind.sheet(values))}."
+    name, description = name or kind.name.replace("-", "_"), made.description or described
+    made = replace(made, name=name, description=description)
+    return made if made.by_readings else kind.at_home(made, values)
+
+
+def architecture_of(name: str) -> Architecture:
+    """Return an architecture by its name."""
+    known = {key.lower().replace("-", ""): kind for key, kind in ARCHITECTURES.items()}
+    plain = re.sub("[-_]", "", must_be(name, str, "the architecture", MechanismError).lower())
+    if plain not in known:
+        near = get_close_matches(plain, known, 1)
+        meant = f"; did you mean {known[near[0]].name!r}?" if near else ""
+        raise MechanismError(
+            f"no architecture {name!r}; expected one of {', '.join(ARCHITECTURES)}{meant}"
+        )
+    return known[plain]

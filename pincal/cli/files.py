@@ -15,7 +15,14 @@ import pincal
 from pincal import Measurements, Mechanism, Plan
 from pincal.cli.app import command, remark, say, stdout, warn, working, wrote
 from pincal.cli.mechanisms import fail_if_lost, first_of, say_reference
-from pincal.cli.options import FORCE, Mech, TableOptions, named_after, output_option, refuse_options
+from pincal.cli.options import (
+    FORCE,
+    Mech,
+    TableOptions,
+    named_after,
+    output_option,
+    refuse_options,
+)
 from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.columns import write_plan
 from pincal.files.measurements import read_poses
@@ -23,7 +30,6 @@ from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, writ
 from pincal.files.output import writing
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, read_bytes
-from pincal.files.tree import Tree
 from pincal.files.urdf import XACRO, read_urdf
 from pincal.files.urdf_writing import leg_urdf
 from pincal.formats import arm, closed, firmware, mjcf, users_urdf
@@ -36,7 +42,7 @@ from pincal.words.numbers import amount, listed, reading_in
 from pincal.workspace.sampling import grid_poses, has_grid
 
 PROBING = "probing.csv"
-_LARGE = 20.0  # [m]
+_LARGE, _ROWS = 20.0, 1000  # size that is doubted [m]; rows of a grid over the workspace, about
 InputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "marlin"]
 #: Formats by the ending of a file, read and written.
 INPUTS: dict[str, InputFormat] = {
@@ -67,7 +73,6 @@ _ONLY = {
     "controller": ("table",),
     "units": ("table",),
 }
-_ROWS = 1000  # of a grid over the workspace, about
 
 
 @dataclass(frozen=True)
@@ -144,12 +149,12 @@ def _import_printer(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> Sequence[str]:
     """Write the mechanism of a delta printer to a folder, with the points that it probed."""
-    probing = Measurements(poses=np.empty((0, 3)), readings=np.empty((0, 3)))
     if form == "klipper":
         printer, probing = firmware.read_klipper(file)
     else:
         named = form if options.format and (form == "reprap" or form == "marlin") else None
         printer = firmware.read_reprap(file, named)
+        probing = Measurements(poses=np.empty((0, 3)), readings=np.empty((0, 3)))
     mechanism = printer.mechanism(named_after(output), f"Linear delta of {file.name}.")
     if options.probed is not None:
         solution = pincal.inverse(mechanism, read_poses(options.probed, mechanism).poses)
@@ -175,53 +180,38 @@ def _import_printer(
 def _import_tree(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> Sequence[str]:
-    """Write the mechanism of a URDF or MJCF file to a folder, and say what it is."""
-    remarks: Sequence[str] = ()
+    """Write the mechanism of a URDF or MJCF file to a folder, and say what was understood."""
     if options.tip is not None:
         tree = read_urdf(file) if form == "urdf" else mjcf.read_mjcf(file)
-        mechanism = arm.serial_arm(tree, options.tip, options.base)
+        mechanism, remarks = arm.serial_arm(tree, options.tip, options.base), list[str]()
     else:
-        tree, mechanism, remarks = _closed(file, form, options)
+        yaml = None if form == "mjcf" else options.loops or users_urdf.loops_beside(file)
+        tree = mjcf.read_mjcf(file) if form == "mjcf" else users_urdf.read_loops(file, yaml)
+        tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
+        mechanism, left_out = closed.closed_mechanism(tree, options.platform, options.base)
+        if yaml is not None:
+            say(f"loops closed by {yaml}")
+        closing, moved = closed.closing_in_words(tree, mechanism)
+        if not moved:
+            say(closing)
+        remarks = [closing] * moved + [*left_out]
     drawn = {edge.joint.name for edge in tree.edges}
     unused = drawn - {joint.name for leg in mechanism.legs for joint in leg.joints}
-    remarks = [*remarks, *(text for name, text in tree.remarks.items() if name not in unused)]
+    remarks += [text for name, text in tree.remarks.items() if name not in unused]
     if (size := mechanism.size) > _LARGE:
         remarks += [f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?"]
     save_mechanism(replace(mechanism, name=named_after(output)), output, force=options.force)
-    _say_what_it_is(mechanism)
-    return remarks
-
-
-def _closed(
-    file: Path, form: InputFormat, options: ImportOptions
-) -> tuple[Tree, Mechanism, Sequence[str]]:
-    """Return tree and mechanism of a file with loops, and remarks; say how loops are closed."""
-    yaml = None if form == "mjcf" else options.loops or users_urdf.loops_beside(file)
-    tree = mjcf.read_mjcf(file) if form == "mjcf" else users_urdf.read_loops(file, yaml)
-    tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
-    mechanism, remarks = closed.closed_mechanism(tree, options.platform, options.base)
-    if yaml is not None:
-        say(f"loops closed by {yaml}")
-    closing, moved = closed.closing_in_words(tree, mechanism)
-    if moved:
-        return tree, mechanism, (closing, *remarks)
-    say(closing)
-    return tree, mechanism, remarks
-
-
-def _say_what_it_is(mechanism: Mechanism) -> None:
-    """Print what was understood: platform, legs, drives, parameters."""
     platform = mechanism.platform
     coordinates = zip(platform.coordinates, platform.home, platform.units, strict=True)
     home = (f"{name} {round(value, 9) + 0.0:.6g} {unit}" for name, value, unit in coordinates)
     say(f"{platform.kind} platform, at home {', '.join(home)}")
     for leg in mechanism.legs:
-        driven = {sensor.joint for sensor in leg.sensors}
-        marks = dict.fromkeys(driven, "*")
+        marks = {sensor.joint: "*" for sensor in leg.sensors}
         marks |= {j.name: f" (follows {j.leader.joint})" for j in leg.articulated if j.follows}
         joints = ", ".join(joint.name + marks.get(joint.name, "") for joint in leg.articulated)
         say(f"{leg.name}: {joints}; {leg.closing}; {len(leg.parameters)} parameters")
     stdout.print("* driven: its position is read")
+    return remarks
 
 
 @dataclass(frozen=True)
@@ -293,7 +283,8 @@ def export(
     warn(*remarks)
     wrote(output)
     if mechanism.amplitudes:
-        needed = bool(_columns(mechanism) or not has_grid(mechanism))
+        needed = bool(set(mechanism.influences).difference(mechanism.loaded))
+        needed = needed or not has_grid(mechanism)
         remark(
             "to correct for terms pose by pose (what to add to readings, or which pose to command "
             f"instead): pincal export {quote(mech)} -o corrections.csv --units mm"
@@ -325,11 +316,6 @@ def _exported(
     return text.encode(), printer.remarks
 
 
-def _columns(mechanism: Mechanism) -> list[str]:
-    """Return the columns that terms follow and that nothing but a row says."""
-    return [name for name in mechanism.influences if name not in mechanism.loaded]
-
-
 def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptions) -> None:
     """Write corrections over poses."""
     other = options.controller is not None
@@ -338,12 +324,12 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
             f"{mechanism.name!r} has no terms: a controller with its geometry, gains and offsets "
             "needs no correction; one with other geometry does (--controller MECH)"
         )
-    units, poses = options.written_in(mechanism), options.poses
-    plan = None if poses is None else read_poses(poses, mechanism)
+    units = options.written_in(mechanism)
+    plan = None if options.poses is None else read_poses(options.poses, mechanism)
     influences = {} if plan is None else own_influences(mechanism, plan.influences)
     if not (other or influences or mechanism.loaded or mechanism.at_reference.amplitudes):
         raise MechanismError(
-            f"all terms of {mechanism.name!r} follow {first_of(_columns(mechanism), ', ')}: at "
+            f"all terms of {mechanism.name!r} follow {first_of(mechanism.influences, ', ')}: at "
             "their reference there is nothing to correct; give poses with these columns (--poses)"
         )
     if plan is None:
@@ -355,12 +341,11 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
     write_table(output, written, units=replace(units, counts=counts), force=options.force)
     say_reference(mechanism, influences)
     reached = np.abs(table.readings[np.isfinite(table.readings).all(axis=1)])
-    largest: dict[str, float] = {}
-    for unit, size in zip(mechanism.reading_units, reached.max(axis=0, initial=0.0), strict=True):
-        largest[unit] = max(largest.get(unit, 0.0), float(size))
+    sizes = zip(mechanism.reading_units, reached.max(axis=0, initial=0.0).tolist(), strict=True)
+    largest = dict(sorted(sizes))  # of each unit the largest
     with reading_in(units.printed):
         limits = listed(amount(size, unit) for unit, size in largest.items())
     stdout.print(f"{counted(len(reached), 'pose')}: at most {limits} to add to a reading")
     wrote(output)
     places = list(map(plan.place, range(len(plan))))
-    fail_if_lost(poses or output, places, table.reasons, "pose")
+    fail_if_lost(options.poses or output, places, table.reasons, "pose")

@@ -1,9 +1,9 @@
-"""Mechanisms as they are: the bundled ones, what they are like, poses to readings and back."""
+"""Mechanisms as they are: the bundled ones, poses to readings and back, and for a controller."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -24,6 +24,7 @@ from pincal.files.table import write_table
 from pincal.kinematics.configurations import beyond_limits, leg_demands
 from pincal.kinematics.influences import own_influences
 from pincal.model.consistency import home_gap
+from pincal.show.deployment import GridOptions
 from pincal.show.tables import nominal_table, symmetry_table
 from pincal.words.numbers import reading_in
 from pincal.words.wording import LISTED
@@ -243,4 +244,30 @@ def study(
         result = import_module(f"{installed[0]}.catalogue").run_study(name, seed, quick, progress)
     with writing(output, force=force, folder=("study.md",)) as scratch:
         result.write(scratch)
+    wrote(output)
+
+
+@command
+def deploy(
+    machine: Annotated[
+        str, typer.Argument(metavar="RESULT", help="Folder of a calibration; or a mechanism.")
+    ],
+    output: Annotated[Path, output_option("FOLDER", "Kinematics, data sheet and how to use them.")],
+    correction: GridOptions,
+    tables: TableOptions,
+    force: Force = False,
+) -> None:
+    """Write kinematics for a controller.
+
+    How do I command the robot now? Inverse and forward kinematics as one Python file and one C99
+    header that need nothing else, in the frames that were measured; joint centres and lengths with
+    standard errors; HAL lines for LinuxCNC where the machine is a hexapod or a delta.
+    FOLDER/commanding.md says how to use them.
+
+    Where the controller's geometry cannot be changed, --grid 4096 adds what to command in place of
+    each pose (corrections.csv, and a function in both files), and says what error that leaves.
+
+    For URDF, MJCF and printers see 'pincal export'.
+    """
+    pincal.deploy(machine, output, force=force, units=tables.units or "", **asdict(correction))
     wrote(output)

@@ -12,9 +12,8 @@ import typer
 
 import pincal
 from pincal import FileError, Mechanism, Noise, Plan
-from pincal.architectures.catalogue import ARCHITECTURES
-from pincal.architectures.dimension import Architecture, Values
-from pincal.architectures.new import architecture_of
+from pincal.architectures.architecture import Architecture, Values
+from pincal.architectures.catalogue import ARCHITECTURES, architecture_of
 from pincal.cli.app import app, command, remark, run_step, say, stdout, working, wrote
 from pincal.cli.options import Force, Seed, named_after, output_option
 from pincal.design.order import in_rounds, with_verification

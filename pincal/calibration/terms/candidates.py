@@ -10,7 +10,7 @@ from itertools import chain
 
 import numpy as np
 
-from pincal.architectures.pulley import is_cable, over_pulley
+from pincal.architectures.cables import is_cable, over_pulley
 from pincal.calibration.calibration import Calibration, located, with_followed_influences
 from pincal.calibration.terms.kinds import (
     BACKLASH,

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.architectures.pulley import is_cable
+from pincal.architectures.cables import is_cable
 from pincal.calibration.options import AUTO
 from pincal.errors import MeasurementError
 from pincal.files.text import in_si

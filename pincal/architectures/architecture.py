@@ -1,21 +1,27 @@
-"""A dimension of a data sheet: its name, what it is, its unit, what it may be, and a default."""
+"""An architecture: the dimensions of its data sheet, and what a machine of them cannot do."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees, radians
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from pincal.errors import MechanismError
+from pincal.kinematics.configurations import beyond_limits
+from pincal.kinematics.singularity import home_determinant
 from pincal.model.checks import must_be, number_of
 from pincal.model.mechanism import Mechanism
+from pincal.symmetry.carry import at_home as closed_at_home
 from pincal.types import Array
 
 #: Dimensions by name: lengths [m], angles [rad], and texts.
 Values: TypeAlias = Mapping[str, Any]
 Corner: TypeAlias = "Sequence[float] | Array"
 LEAST = 1e-6
+_FLAT = 1e-3  # of what the legs' lines span at home
 
 
 @dataclass(frozen=True)
@@ -122,3 +128,29 @@ class Architecture:
         """Return names and values of the dimensions that are sizes or choices."""
         shown = [item for item in self.dimensions if item.unit or item.choices]
         return [f"{item.name} {item.text(values[item.name])}" for item in shown]
+
+    def at_home(self, made: Mechanism, values: Values) -> Mechanism:
+        """Return a mechanism with its legs closed at home."""
+        change = f"change one of {', '.join(self.sheet(values))}"
+        platform, legs = made.platform, []
+        for leg in made.legs:
+            try:
+                legs.append(closed_at_home(leg, platform))
+            except MechanismError as error:
+                raise MechanismError(
+                    f"{self.name}: {leg.name} is too short or too long for the home pose; {change}"
+                ) from error
+            for place in np.flatnonzero(beyond_limits(legs[-1], legs[-1].home[None])[0]):
+                joint = legs[-1].moving[place]
+                ends = (joint.home, joint.lower, joint.upper)
+                position, lower, upper = (sized(end, "rad" if joint.turns else "m") for end in ends)
+                raise MechanismError(
+                    f"{self.name}: at home joint {joint.name!r} of {leg.name} is at {position}, "
+                    f"outside its limits {lower} to {upper}; {change}"
+                )
+        made = replace(made, legs=tuple(legs))
+        if not abs(home_determinant(made)) >= _FLAT:  # it is NaN where a leg misses home
+            raise MechanismError(
+                f"{self.name}: the legs do not hold the platform at home, a singular pose; {change}"
+            )
+        return made
