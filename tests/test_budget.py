@@ -15,8 +15,8 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 624,
-    "calibration": 7_125,
-    "cli": 3_026,
+    "calibration": 7_141,
+    "cli": 2_988,
     "design": 2_330,
     "estimation": 5_028,
     "files": 3_444,
@@ -24,14 +24,14 @@ LINES = {
     "instruments": 1_574,
     "kinematics": 3_684,
     "model": 3_658,
-    "show": 4_597,
+    "show": 4_590,
     "symmetry": 1_462,
-    "words": 1_014,
+    "words": 1_015,
     "workspace": 1_654,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 188,
+    "files": 187,
     "page lines": 932,
     "largest folder": 16,
     "vague names": 0.01,

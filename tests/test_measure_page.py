@@ -132,7 +132,9 @@ def test_rows_are_entered_by_keyboard_and_clicks(
     recorded(12)
     row = state(session)["row"]
     page.click("text=skip this pose")
-    page.wait_for_function(f"!document.querySelector('#next').textContent.startsWith('row {row} ')")
+    page.wait_for_function(
+        f"!document.querySelector('#next').textContent.startsWith('pose {row} ')"
+    )
     page.click("#undo")
     recorded(11)
     assert page.evaluate("document.documentElement.scrollWidth") == width

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import resource
+import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -23,7 +24,7 @@ from command_line import done, run
 import pincal
 from pincal.calibration.promise import errors_inside
 from pincal.calibration.session import Session, SessionOptions
-from pincal.cli.machine import SimulatedMachine, serve
+from pincal.cli.measure import SimulatedMachine, serve
 from pincal.files.columns import columns_of
 from pincal.files.journal import Journal
 from pincal.show.measuring import verdict_on_row
@@ -94,6 +95,14 @@ def _in_radians(cells: dict[str, str]) -> None:
     cells["leg_2 [deg]"] = repr(float(np.radians(float(cells["leg_2 [deg]"]))))
 
 
+def _in_rounded_radians(cells: dict[str, str]) -> None:
+    cells["leg_2 [deg]"] = f"{np.radians(float(cells['leg_2 [deg]'])):.4f}"
+
+
+def _turned_round(cells: dict[str, str]) -> None:
+    cells["x [mm]"], cells["y [mm]"] = cells["y [mm]"], cells["x [mm]"]
+
+
 def _other_sign(cells: dict[str, str]) -> None:
     cells["leg_3 [deg]"] = repr(-float(cells["leg_3 [deg]"]))
 
@@ -112,6 +121,8 @@ def _in_metres(cells: dict[str, str]) -> None:
     ("mistake", "words"),
     [
         (_in_radians, "the readings of leg_2 are in radians"),
+        (_in_rounded_radians, "the readings of leg_2 are in radians"),
+        (_turned_round, "x and y are swapped"),
         (_other_sign, "the readings of leg_3 have the opposite sign"),
         (_swapped, "legs are swapped: column leg_2 fits leg_1 and column leg_1 fits leg_2"),
         (_in_metres, "the positions are in metres"),
@@ -144,6 +155,7 @@ def test_slip_of_ten_sigma_is_off_and_can_be_kept(begun: Session) -> None:
         checked = begun.add(cells)
         assert checked.off
         assert 3.5 < (checked.sigma or 0.0) < 12.0
+        assert f"likely the measured {head[0]} alone is wrong" in verdict_on_row(checked)
         begun.keep()
         assert begun.doubtful is not None
         assert begun.doubtful[0] == checked.row
@@ -218,12 +230,13 @@ def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[SimulatedM
     truth = pincal.disturb(mechanism, seed=3)
     machine = SimulatedMachine(mechanism, truth, NOISE, pincal.Setup(), pincal.words.units.SI)
     machine.rng = np.random.default_rng(1)
-    ports: list[str] = []
-    monkeypatch.setattr("pincal.cli.machine.say", ports.append)
-    Thread(target=serve, args=(machine, 0), daemon=True).start()
-    while not ports:
-        time.sleep(0.01)
-    return machine, ports[0]
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    Thread(target=serve, args=(machine, port), daemon=True).start()
+    with socket.socket() as caller:
+        while caller.connect_ex(("127.0.0.1", port)):
+            time.sleep(0.01)
+    return machine, f"127.0.0.1:{port}"
 
 
 def unattended(port: str, accuracy: str, *plan: str) -> Any:
@@ -294,6 +307,11 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     np.testing.assert_allclose(rows.poses, exact.poses, atol=1e-12)
     commanded = pincal.inverse("3RRR", machine.plan.poses[4:5]).readings
     np.testing.assert_allclose(rows.readings[1:], commanded, atol=2e-7)
+    monkeypatch.setattr(sys, "stdin", io.StringIO("u 2\nq\n"))
+    resumed = done(*command, "--accuracy", "0.2mm")
+    assert "more poses for 0.2 mm" in resumed.out
+    assert "warning: --accuracy was 0.0001 so far, and is now 0.0002" in resumed.err
+    assert "noise" not in resumed.err
     refused = run(*command, "--units", "m,rad")
     assert refused.code == 2
     assert "rows.csv has other columns than these options give" in refused.err
@@ -301,4 +319,7 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     with full_disk(Path("s/rows.csv")):
         outcome = done(*command)
     assert "warning: not recorded; free some space and enter it again. s/rows.csv" in outcome.err
-    assert "2 rows in s/rows.csv" in outcome.out
+    assert "1 rows in s/rows.csv" in outcome.out
+    options = json.loads(Path("s/options.json").read_text())
+    assert options["Noise"] == {"position": 2e-5, "orientation": 2e-5}
+    assert options["SessionOptions"] == {"accuracy": 2e-4}

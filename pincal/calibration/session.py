@@ -1,7 +1,8 @@
 """A session beside the robot: which pose next, whether its row can be right, when it is enough.
 
-All that is known is in a folder: the plan, and the rows that were measured. After each row they are
-calibrated anew, with drawings as priors, so that something is known from the first row on:
+A session is its plan, its options and the rows that were measured; all else is made of these. After
+each row they are calibrated anew, with drawings as priors, so that something is known from the
+first row on:
 
     check    χ² = rᵀ (s² (1 + J C Jᵀ))⁻¹ r    a row r against its prediction by a fit without it,
     enough   the limit that ``pincal.calibrate`` promises of these rows, priors apart,
@@ -11,8 +12,10 @@ and what is next is ``pincal.design.next_pose``'s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +39,6 @@ from pincal.estimation.observability.indices import plausible_changes
 from pincal.estimation.problem import Linear
 from pincal.estimation.robust import as_one
 from pincal.estimation.solver import solve_poses
-from pincal.estimation.start import placed
 from pincal.estimation.unknowns import State
 from pincal.files.columns import sheet_columns
 from pincal.files.journal import Journal
@@ -44,13 +46,12 @@ from pincal.files.table import cell_text
 from pincal.files.text import plain_number
 from pincal.finding import Finding
 from pincal.kinematics.configurations import inverse
-from pincal.kinematics.forward import forward
 from pincal.model.checks import LARGEST
-from pincal.model.measurements import Noise, Plan
+from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.option import option
-from pincal.types import Array
+from pincal.types import Array, Index
 from pincal.words.findings import finding
 from pincal.words.units import SI, Units
 
@@ -62,6 +63,7 @@ ENOUGH = 0.95
 """Share of the workspace that the measured region, of which errors are stated, should hold."""
 _LARGEST = 3.0  # standard deviations that the largest changes of machines are
 _CAUSES = 3  # that are named, at most
+_NEARLY = 1e-4  # of a row's χ²: what is left where a number was rounded as it was typed
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ class Checked:
     off: bool = False
     """Whether it is farther off than sound rows are."""
     quantity: str = ""
-    """Which of its numbers is farthest off."""
+    """The number without which the others fit best; empty if not even nearly."""
     causes: tuple[Finding, ...] = ()
     """What would explain it: units, signs, swapped columns."""
 
@@ -109,7 +111,8 @@ class Session:
     ``checked`` is the verdict on the last row, ``result`` the calibration of all rows but a last
     one that is off; None while it cannot be made, for the reason ``why``. ``error`` is that of the
     platform over the ``share`` of the workspace that lies in the measured region. It is ``enough``
-    where that promises what was wanted, and the next pose would not widen that region.
+    where that promises what was wanted, and the next pose would not widen that region. ``doubtful``
+    is the row that all others contradict, and by how many σ.
     """
 
     def __init__(
@@ -137,34 +140,36 @@ class Session:
         influences = [name for name in mechanism.influences if name not in mechanism.followed]
         columns |= {name: ("",) * len(plan) for name in influences}
         self.sheet = {head: [cell_text(cell) for cell in cells] for head, cells in columns.items()}
-        self.columns = [
-            head
-            for head in self.sheet
-            if not head.startswith(("row", "set", "pose", PLANNED, *plan.contacts))
-        ]
+        known = ("row", "set", "pose", PLANNED, *plan.contacts)
+        self.columns = [head for head in self.sheet if not head.startswith(known)]
         read = set(mechanism.reading_names)
         self.observed = [head for head in self.columns if head.partition(" [")[0] not in read]
         self.candidates = Candidates(
             mechanism, plan, options.noise, options.measured, setup, priors
         )
         self.forecast = self.limits(self.candidates.course())
+        self.chosen: int | None = None
+        """Row of the plan to measure next, if not the best."""
         self.journal = Journal(folder, list(self.sheet))
         self._restart()
 
     def _restart(self) -> None:
         """Make of the rows on disk what is known."""
-        self.result: CalibrationResult | None = None
-        self.error: PlatformError | None = None
-        self.share, self.why, self.enough = 0.0, "", False
         self.checked: Checked | None = None
-        self.doubtful: tuple[int, float] | None = None
-        self._fits: Fits | None = None
-        self._outside = np.zeros(len(self.plan))
+        self._forget()
         if count := len(self.journal.rows):
             calibration = self._read()
             if count > 1:
                 self._fit(calibration.rows(np.arange(count - 1)))
             self._judge(calibration)
+
+    def _forget(self) -> None:
+        self.result: CalibrationResult | None = None
+        self.error: PlatformError | None = None
+        self.share, self.why, self.enough = 0.0, "", False
+        self.doubtful: tuple[int, float] | None = None
+        self._fits: Fits | None = None
+        self._outside = np.zeros(len(self.plan))
 
     @property
     def measured(self) -> list[int]:
@@ -180,17 +185,24 @@ class Session:
     def next_pose(self) -> tuple[int, float]:
         """Return the row of the plan to measure next, and by what share errors then fall.
 
-        That of the last row while it is questioned. After what is enough those reserved for
-        verification come, then the others.
+        That of the last row while it is questioned, then one that was chosen. After what is enough
+        those reserved for verification come, then the others.
         """
         if self.questioned:
             return self.measured[-1], 0.0
+        if self.chosen is not None:
+            return self.chosen, 0.0
         reserved = np.setdiff1d(np.flatnonzero(self.plan.verifying), self.measured)
         if self.enough and len(reserved):
             return int(reserved[0]), 0.0
         if (row := self._outermost()) is not None:
             return row, 0.0
         return self.candidates.best(self.measured)
+
+    def _outermost(self) -> int | None:
+        """Return the row of the plan farthest outside a measured region that is too small."""
+        outside = np.where(self.candidates.fresh(self.measured), self._outside, 0.0)
+        return int(outside.argmax()) if outside.max() > 1.0 else None
 
     @property
     def exhausted(self) -> bool:
@@ -229,40 +241,32 @@ class Session:
         """
         row = self.next_pose()[0] if row is None else row
         if not 0 <= row < len(self.plan):
-            raise MeasurementError(f"there is no row {row + 1}; the plan has 1 to {len(self.plan)}")
-        self.journal.append(self._cells(entry, row))
-        try:
-            return self._judge(self._read())
-        except MeasurementError:
-            self.journal.undo()
-            raise
-
-    def skip(self, row: int) -> None:
-        """Offer a row of the plan no more, until the session is opened again."""
-        self.candidates.offered[row] = False
-
-    def _cells(self, entry: Mapping[str, str], row: int) -> dict[str, str]:
-        """Return the cells of a row of the plan with what was entered.
-
-        Raises:
-            MeasurementError: see ``add``.
-        """
+            raise MeasurementError(f"there is no pose {row + 1}; the plan has {len(self.plan)}")
         cells = {head: column[row] for head, column in self.sheet.items()}
         heads = {name: head for head in self.columns for name in (head, head.partition(" [")[0])}
-        for name, cell in entry.items():
-            if name not in heads:  # an instrument may say more
-                continue
-            if cell.strip() and not abs(plain_number(cell)) <= LARGEST:
-                raise MeasurementError(f"{heads[name]}: {cell!r} is no number; enter the row again")
-            cells[heads[name]] = cell.strip()
+        for name in heads.keys() & entry.keys():  # an instrument may say more
+            cell, head = entry[name].strip(), heads[name]
+            if cell and not abs(plain_number(cell)) <= LARGEST:
+                raise MeasurementError(f"{head}: {cell!r} is no number; enter the row again")
+            cells[head] = cell
         if self.observed and not any(cells[head] for head in self.observed):
             raise MeasurementError(
                 f"nothing was measured: {', '.join(entry)}; expected {', '.join(self.observed)}"
             )
-        for head in self.columns:
-            if head not in self.observed:
-                cells[head] = cells[head] or cells[f"{PLANNED}{head}"]
-        return cells
+        for head in set(self.columns) - set(self.observed):
+            cells[head] = cells[head] or cells[f"{PLANNED}{head}"]
+        self.journal.append(cells)
+        try:
+            checked = self._judge(self._read())
+        except MeasurementError:
+            self.journal.undo()
+            raise
+        self.chosen = None
+        return checked
+
+    def skip(self, row: int) -> None:
+        """Offer a row of the plan no more, until the session is opened again."""
+        self.candidates.offered[row], self.chosen = False, None
 
     def keep(self) -> None:
         """Take the last row as it is, though it is off."""
@@ -292,8 +296,7 @@ class Session:
     @one_thread()
     def _fit(self, calibration: Calibration) -> None:
         """Calibrate; say whether it is enough."""
-        self._fits = self.result = self.error = self.doubtful = None
-        self._outside[:], self.enough, self.why = 0.0, False, ""
+        self._forget()
         workspace, wanted = self.candidates.workspace, self.options.accuracy or 0.0
         try:
             self._fits = fitted(calibration)
@@ -311,46 +314,54 @@ class Session:
         except (PincalError, np.linalg.LinAlgError) as error:
             self.why = str(error)
 
-    def _outermost(self) -> int | None:
-        """Return the row of the plan farthest outside a measured region that is too small."""
-        outside = np.where(self.candidates.fresh(self.measured), self._outside, 0.0)
-        return int(outside.argmax()) if outside.max() > 1.0 else None
-
     @one_thread()
     def _check(self, calibration: Calibration) -> Checked:
         """Return the verdict on the last row by what is known without it."""
         row = len(calibration.measurements) - 1
         if self._fits is None and len(calibration.observation.external):
             return Checked(row, None)
-        (square, *_), last = self._squares(calibration, [AS_MEASURED])
-        equations, quantities = max(int(last.equations[0]), 1), tuple(last.problem.quantities)
-        noise = np.abs(np.nan_to_num(last.noise[0, : len(quantities)]))
-        quantity = last.problem.observation.named(quantities[noise.argmax()], 0)
-        sigma = as_one(float(square), equations)
+        r, S, linear = self._predicted(calibration, [AS_MEASURED])
+        square, equations = float(_squares(r, S)[0]), max(int(linear.equations[0]), 1)
+        sigma = as_one(square, equations)
         if chdtrc(equations, square) >= FALSE_ALARM:
-            return Checked(row, sigma, False, quantity)
-        case = Case(calibration, np.array([row]))
-        tried = list(faults_of_a_row(case))
-        chances = chdtrc(equations, self._squares(calibration, tried)[0])
+            return Checked(row, sigma)
+        tried = [
+            *faults_of_a_row(Case(calibration, np.array([row]))),
+            *_coordinates_exchanged(self),
+        ]
+        squares = _squares(*self._predicted(calibration, tried)[:2])
+        nearly = _NEARLY * square if np.isfinite(square) else 0.0
+        fits = (chdtrc(equations, squares) >= FALSE_ALARM) | (squares <= nearly)
+        likely = [tried[place] for place in np.argsort(squares) if fits[place]][:_CAUSES]
+        # a slip ν of one number moves the rows by its column of the noise's root
+        quantities = tuple(linear.problem.quantities)
+        slips = linear.white(linear.noise_root)[:, :, : len(quantities)]
+        by_slip = np.linalg.pinv(S) @ slips if np.isfinite(square) else 0.0 * slips
+        moved, size = (by_slip.mT @ r[:, :, None])[0, :, 0], (slips * by_slip)[0].sum(axis=0)
+        gains = np.nan_to_num(moved**2 / np.where(size > 0.0, size, np.inf))
+        worst = int(gains.argmax())
+        quantity = linear.problem.observation.named(quantities[worst], 0)
+        rest = square - gains[worst]
+        if not likely and equations > 1 and chdtrc(equations - 1, max(rest, 0.0)) >= FALSE_ALARM:
+            likely = [Hypothesis("slip", lambda data: data, {"quantity": quantity})]
         names = self.mechanism.leg_names
         causes = tuple(
             finding(
-                tried[place].code,
-                **tried[place].values,
-                legs=tuple(names[leg] for leg in tried[place].legs),
+                hypothesis.code,
+                **hypothesis.values,
+                legs=tuple(names[leg] for leg in hypothesis.legs),
                 unknown_frame=False,
             )
-            for place in np.argsort(-chances)[:_CAUSES]
-            if chances[place] >= FALSE_ALARM
+            for hypothesis in likely
         )
         return Checked(row, sigma, True, quantity, causes)
 
-    def _squares(
+    def _predicted(
         self, calibration: Calibration, hypotheses: Sequence[Hypothesis]
-    ) -> tuple[Array, Linear]:
-        """Return χ² of the last row if hypotheses are true, infinite where no pose belongs to it.
+    ) -> tuple[Array, Array, Linear]:
+        """Return residuals of the last row if hypotheses are true, (N, k), and their covariances.
 
-        And its conditions.
+        And the conditions, at the poses that fit best; those planned are where these are sought.
         """
         last = calibration.measurements.rows(np.array([len(calibration.measurements) - 1]))
         righted = [hypothesis.right(last) for hypothesis in hypotheses]
@@ -367,32 +378,36 @@ class Session:
             parameters, external = fit.parameters, self._fits.external
             known_rows = fit.last.jacobian[fit.good].reshape(-1, rows.shape[1])
             rows = np.concatenate((rows, known_rows / excess))
+        planned = self.mechanism.platform.matrices(self.plan.poses[self.measured[-1:]])
+        state = State(parameters, np.repeat(planned, len(data), axis=0), external=external)
         with np.errstate(all="ignore"):
-            problem = trial.latent_problem
-            state = placed(problem, data, parameters, external)
-            linear, _ = solve_poses(problem.evaluate(_at_readings(trial, state)))
-            r, J = linear.residuals, linear.jacobian
+            linear, _ = solve_poses(trial.latent_problem.evaluate(state))
             R = np.asarray(np.linalg.qr(rows, mode="r"))
-            W = np.linalg.solve(R.T, J.mT)
-            S = excess**2 * np.eye(r.shape[1]) + W.mT @ W
-            known = np.isfinite(S).all(axis=(1, 2)) & np.isfinite(r).all(axis=1)
-            squares = np.full(len(r), np.inf)
-            squares[known] = (r * np.linalg.solve(S[known], r[known, :, None])[:, :, 0]).sum(axis=1)
-        return squares, linear
+            W = np.linalg.solve(R.T, linear.jacobian.mT)
+            return linear.residuals, excess**2 * np.eye(W.shape[2]) + W.mT @ W, linear
 
 
-def _at_readings(calibration: Calibration, state: State) -> State:
-    """Return a state whose poses are those of the readings where they were measured in part."""
-    machine, readings = calibration.identified(state.parameters), calibration.measurements.readings
-    partly = ~np.isfinite(calibration.measurements.poses).all(axis=1)
-    known = np.flatnonzero(partly & np.isfinite(readings).all(axis=1))
-    if not len(known):
-        return state
-    influences = None if calibration.influences is None else calibration.influences[known]
-    solution = forward(machine, readings[known], influences=influences)
-    matrices, reached = state.matrices.copy(), solution.converged
-    matrices[known[reached]] = machine.platform.matrices(solution.poses[reached])
-    return replace(state, matrices=matrices)
+def _coordinates_exchanged(session: Session) -> Iterator[Hypothesis]:
+    """Yield that two coordinates of a position are swapped."""
+    platform = session.mechanism.platform
+    for i, j in combinations(range(platform.lengths), 2):
+        order = np.arange(platform.dof)
+        order[[i, j]] = j, i
+        right = partial(_reordered, order=order)
+        names = platform.coordinates[i], platform.coordinates[j]
+        yield Hypothesis("columns-exchanged", right, {"columns": names})
+
+
+def _reordered(data: Measurements, order: Index) -> Measurements:
+    return replace(data, poses=data.poses[:, order])
+
+
+def _squares(r: Array, S: Array) -> Array:
+    """Return χ² = rᵀ S⁻¹ r of rows, shape (N,); infinite where no pose belongs to one."""
+    known = np.isfinite(S).all(axis=(1, 2)) & np.isfinite(r).all(axis=1)
+    squares = np.full(len(r), np.inf)
+    squares[known] = (r[known] * np.linalg.solve(S[known], r[known, :, None])[:, :, 0]).sum(axis=1)
+    return squares
 
 
 def _doubtful(fits: Fits) -> tuple[int, float] | None:
@@ -401,10 +416,11 @@ def _doubtful(fits: Fits) -> tuple[int, float] | None:
     χ² = rᵀ (1 − Q Qᵀ)⁻¹ r of residuals r and orthonormal columns Q is that of a fit without it.
     """
     fit = fits.fits[0]
-    rows, r, Q = np.flatnonzero(fit.good), fit.last.residuals[fit.good], fit.Q
-    remainder = np.eye(r.shape[1]) - Q @ Q.mT
-    squares = np.einsum("ni,ni->n", r, np.linalg.solve(remainder, r[:, :, None])[:, :, 0])
-    equations = fit.last.equations[rows]
+    rows, r = np.flatnonzero(fit.good), fit.last.residuals[fit.good]
+    squares, equations = (
+        _squares(r, np.eye(r.shape[1]) - fit.Q @ fit.Q.mT),
+        fit.last.equations[rows],
+    )
     chances = np.where(equations > 0, chdtrc(np.maximum(equations, 1), squares), 1.0)
     worst = int(chances.argmin())
     if chances[worst] * len(rows) >= FALSE_ALARM:

@@ -22,7 +22,7 @@ from pincal import (
     Setup,
 )
 from pincal.cli.app import command, remark, stdout, working, wrote
-from pincal.cli.machine import SimulatedMachine, serve
+from pincal.cli.measure import SimulatedMachine, serve
 from pincal.cli.options import (
     FORCE,
     SEED,

@@ -1,4 +1,9 @@
-"""``pincal measure``: a session beside the robot, in a terminal or on a page."""
+"""``pincal measure``: a session beside the robot; and the machine of ``pincal simulate --serve``.
+
+A line of JSON says which readings to drive to (``{"leg_1 [mm]": 812.4, …}``), as ``--tcp`` sends
+it; a line says what was measured there. A person, a file that grows and a machine are alike in
+that: each gives one line a pose.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +12,22 @@ import socket
 import sys
 import time
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from socketserver import StreamRequestHandler, TCPServer
 from threading import Event, Lock
-from typing import Annotated, TextIO
+from typing import Annotated, Any, TextIO
 
+import numpy as np
 import typer
 
 import pincal
-from pincal import FileError, MeasurementError, Mechanism, Noise, Setup
+from pincal import FileError, MeasurementError, Mechanism, Noise, PincalError, Plan, Setup
 from pincal.calibration.session import Session, SessionOptions
 from pincal.cli.app import command, fail, say, stdout, warn, working
-from pincal.cli.options import Mech, PlanOptions
+from pincal.cli.options import Mech, PlanOptions, typed_name
 from pincal.design.planning import sampled, with_reading_noise
 from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
@@ -29,15 +36,17 @@ from pincal.option import option
 from pincal.show.measuring import obeyed, progress, responding, set_points
 from pincal.show.view.view import PageServer
 from pincal.words.numbers import percent
+from pincal.words.units import UNITS, Units
 
 _CANDIDATES = 500  # poses, where no plan is given
 _PATIENCE = 5.0  # seconds in which an instrument must take the call
 _OFF = 10  # rows in a row off, after which a source is asked no more
 _WAIT = 0.2  # seconds between two looks at a file that grows
+_SLIP = 10.0  # standard deviations
 _HELP = (
     "enter what was measured, in the columns' order; readings that are left out are those "
-    "commanded. u: undo the last row, u 3 the third; s: skip this pose; r 12: measure row 12; p: "
-    "parameters; q: quit (the same command goes on)"
+    "commanded. u: undo the last row, u 3: row 3; s: skip this pose; r 12: go to pose 12 of the "
+    "plan; p: parameters; q: quit ('pincal measure MECH --session FOLDER' goes on)"
 )
 Ask = Callable[[dict[str, float]], str]
 """Returns the line that a source gives at set points."""
@@ -77,77 +86,96 @@ def measure(
     """Measure with the robot beside you.
 
     Says which pose to drive to, takes what was measured there, checks it at once, and says what
-    error to expect and how many more poses it takes to --accuracy. FOLDER holds the plan and
-    rows.csv, which 'pincal calibrate' reads; every row is on disk before it is shown. Stopped at
-    any moment, the session goes on by the same command. On a page that is served to this machine
-    alone, until Ctrl-C, or in the terminal.
+    error to expect and how many more poses it takes to --accuracy. FOLDER holds the plan, the
+    options and rows.csv, which 'pincal calibrate' reads; every row is on disk before it is shown.
+    Stopped at any moment, the session goes on by 'pincal measure MECH --session FOLDER'. On a page
+    that is served to this machine alone, until Ctrl-C, or in the terminal.
     """
-    mechanism, setup = pincal.load_mechanism(mech), options.read_setup()
-    with working("looking at the poses"):
-        opened = Session(
-            session,
-            mechanism,
-            _plan(session / "plan.csv", mechanism, setup, source.plan, options.seed),
-            replace(
-                session_options,
-                noise=with_reading_noise(noise, mechanism),
-                setup=setup,
-                measured=options.measured(mechanism, setup),
-                units=options.written_in(mechanism),
-            ),
-        )
-    try:
-        with _source(source) as ask:
-            if source.terminal:
-                _in_terminal(opened, ask, source.pattern)
+    mechanism, path = pincal.load_mechanism(mech), session / "plan.csv"
+    groups = session_options, options, noise
+    with working("looking at the poses"), _remembered(session, *groups) as groups:
+        session_options, options, noise = groups
+        setup = options.read_setup()
+        if not path.is_file():
+            if source.plan is None:
+                plan = sampled(mechanism, setup, _CANDIDATES, options.seed)
             else:
-                _on_page(opened, ask, source)
+                plan = read_poses(source.plan, mechanism, setup=setup)
+            write_table(path, columns_of(mechanism, plan))
+        asked = replace(
+            session_options,
+            noise=with_reading_noise(noise, mechanism),
+            setup=setup,
+            measured=options.measured(mechanism, setup),
+            units=options.written_in(mechanism),
+        )
+        opened = Session(session, mechanism, read_poses(path, mechanism, setup=setup), asked)
+    lock, server = Lock(), None
+    try:
+        if not source.terminal:
+            server = PageServer(responding(opened, source.pattern, lock))
+            say(server.url)
+            sys.stdout.flush()
+            if source.open and not webbrowser.open(server.url):
+                warn("no browser opened; open the address above in one")
+        with _source(source) as ask:
+            _measure(opened, ask, source, lock)
     except (KeyboardInterrupt, EOFError):
         pass
     finally:
+        if server:
+            server.close()
         opened.journal.close()
         say(f"{len(opened.journal.rows)} rows in {opened.journal.path}")
 
 
-def _plan(
-    path: Path, mechanism: Mechanism, setup: Setup, source: Path | None, seed: int
-) -> pincal.Plan:
-    """Return the plan of a session's folder, written there if it is new.
+@contextmanager
+def _remembered(folder: Path, *groups: Any) -> Iterator[Any]:
+    """Yield options as typed, else as a session's folder has them; at the end it has these.
 
     Raises:
-        FileError: it cannot be written.
+        FileError: they cannot be read or written.
     """
-    if not path.is_file():
-        if source is None:
-            plan = sampled(mechanism, setup, _CANDIDATES, seed)
-        else:
-            plan = read_poses(source, mechanism, setup=setup)
-        try:
-            path.parent.mkdir(exist_ok=True)
-        except OSError as error:
-            raise FileError(f"cannot make {path.parent}: {error.strerror or error}") from error
-        write_table(path, columns_of(mechanism, plan))
-    return read_poses(path, mechanism, setup=setup)
+    path, answered = folder / "options.json", list[Any]()
+    try:
+        folder.mkdir(exist_ok=True)
+        stored: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.is_file() else {}
+        for group in groups:
+            known, default = stored.setdefault(type(group).__name__, {}), type(group)()
+            for column in (column for column in fields(group) if "option" in column.metadata):
+                value = getattr(group, column.name)
+                if value != getattr(default, column.name):
+                    value = str(value.absolute()) if isinstance(value, Path) else value
+                    if (before := known.get(column.name, value)) != value:
+                        warn(f"--{typed_name(column)} was {before} so far, and is now {value}")
+                    known[column.name] = value
+            answered.append(replace(group, **known))
+        yield answered
+        new = path.with_suffix(".new")
+        new.write_text(json.dumps(stored, indent=1), encoding="utf-8")
+        new.replace(path)
+    except (OSError, json.JSONDecodeError) as error:
+        raise FileError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
 
 
 @contextmanager
 def _source(options: SourceOptions) -> Iterator[Ask | None]:
     """Yield what asks for measurements, None if they are typed."""
+    host, _, port = (options.tcp or "").rpartition(":")
     if options.follow is not None and options.tcp is not None:
         raise typer.BadParameter("--follow and --tcp both give measurements; leave one of them")
-    host, _, port = (options.tcp or "").rpartition(":")
     if options.tcp is not None and not (host and port.isdecimal()):
         raise typer.BadParameter(f"--tcp {options.tcp}: expected HOST:PORT")
     try:
         if options.follow is not None:
             with options.follow.open(encoding="utf-8", errors="replace") as file:
                 file.seek(0, 2)
-                yield lambda _: _grown(file)
+                yield lambda _: _line(file)
         elif options.tcp is not None:
             with socket.create_connection((host, int(port)), _PATIENCE) as line:
                 line.settimeout(None)
                 with line.makefile("rw", encoding="utf-8", newline="\n") as stream:
-                    yield lambda points: _answer(stream, points)
+                    yield lambda points: _line(stream, points)
         else:
             yield None
     except FileError:
@@ -156,71 +184,77 @@ def _source(options: SourceOptions) -> Iterator[Ask | None]:
         raise FileError(f"{options.follow or options.tcp}: {error.strerror or error}") from error
 
 
-def _grown(file: TextIO) -> str:
-    """Return the next line of a file, once it is whole."""
+def _line(stream: TextIO, points: dict[str, float] | None = None) -> str:
+    """Return the next line of a file, once it is whole, or that which answers set points.
+
+    Raises:
+        FileError: the other end is gone.
+    """
+    if points is not None:
+        stream.write(json.dumps(points) + "\n")
+        stream.flush()
     line = ""
-    while not line.endswith("\n") or not line.strip():
-        line = line.lstrip("\n") + file.readline()
-        if not line.endswith("\n"):
+    while not line.endswith("\n") or line.isspace():
+        part = stream.readline()
+        if not part and points is not None:
+            raise FileError("the other end hung up; start it again, then this command")
+        if not part:
             time.sleep(_WAIT)
-    return line
-
-
-def _answer(stream: TextIO, points: dict[str, float]) -> str:
-    """Return the line by which a machine or an instrument answers set points."""
-    stream.write(json.dumps(points) + "\n")
-    stream.flush()
-    line = "\n"
-    while line.isspace():
-        line = stream.readline()
-    if not line:
-        raise FileError("the other end hung up; start it again, then this command")
+        line = line.lstrip("\n") + part
     if line.startswith('{"trouble"'):
         warn(f"the pose is skipped: {line.strip()}")
         return "s"
     return line
 
 
-def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None:
+def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Lock) -> None:
     """Measure one pose after another, until the user leaves, or a source has given enough.
 
-    With nobody there a row that is off is taken back, unless the one before was off as well, which
-    speaks against earlier ones; so is one that all others contradict. No pose is measured twice.
+    A row that is off is settled on the page or in the terminal. With nobody there it is taken back,
+    unless the one before was off as well, which speaks against earlier ones; so is one that all
+    others contradict. No pose is measured twice.
     """
-    if ask is None:
+    on_page, off = not source.terminal, 0
+    attended = ask is None or on_page or sys.stdin.isatty()
+    if ask is None and not on_page:
         say(_HELP)
-    attended, chosen, off = ask is None or sys.stdin.isatty(), None, 0
-    while not (ask and session.enough and not session.doubtful):
+    while ask or not on_page:
+        if ask and session.enough and not session.doubtful:
+            break
+        if session.questioned and on_page:
+            time.sleep(_WAIT)
+            continue
         if not attended and (session.questioned or session.doubtful):
             _settle(session, keep=off > 1)
             continue
-        if ask and not session.questioned:
-            _end_of_what_is_left(session, off)
         row, gain = session.next_pose()
-        row = row if chosen is None else chosen
-        line = _asked(session, row, gain, ask)
-        try:
-            chosen = _taken(session, line, row, pattern)
-        except (MeasurementError, FileError) as error:
-            if ask:
-                raise
-            warn(str(error))
+        if ask and not session.questioned and (session.exhausted or off >= _OFF):
+            last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
+            fail(1, f"{last}, and it is not enough")
+        if session.questioned:
+            line = input("u: undo it, k: keep it > ")
+        else:
+            points = set_points(session, row)
+            falls = f"; errors fall by {percent(gain)}" * (gain > 0.0)
+            say(f"\npose {row + 1} of {len(session.plan)}{falls}. Drive to")
+            say("  " + ", ".join(f"{head} {value:.7g}" for head, value in points.items()))
+            say(f"  then {', '.join(session.observed or session.columns)}:")
+            line = ask(points) if ask else input("> ")
+        if line.split() == ["q"]:
+            return
+        if line.split() == ["p"]:
+            stdout.print(session.result.tables()[0] if session.result else "nothing is known yet")
+        elif line.strip():
+            try:
+                with lock:
+                    say(*obeyed(session, line, row, source.pattern))
+            except (MeasurementError, FileError) as error:
+                if ask:
+                    raise
+                warn(str(error))
         off = off + 1 if session.questioned else 0
-
-
-def _end_of_what_is_left(session: Session, off: int) -> None:
-    """End the command if no pose is left, or too many rows in a row were off."""
-    if session.exhausted or off >= _OFF:
-        last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
-        fail(1, f"{last}, and it is not enough")
-
-
-def _asked(session: Session, row: int, gain: float, ask: Ask | None) -> str:
-    """Return what a source, or the user, answers at a row of the plan."""
-    if session.questioned:
-        return input("u: undo it, k: keep it > ")
-    points = _shown(session, row, gain)
-    return ask(points) if ask else input("> ")
+    if on_page:
+        Event().wait()
 
 
 def _settle(session: Session, *, keep: bool) -> None:
@@ -232,56 +266,69 @@ def _settle(session: Session, *, keep: bool) -> None:
     row = session.measured[place]
     session.undo(place)
     session.skip(row)
-    say(f"row {row + 1} of the plan is taken back, and comes no more", *progress(session))
+    say(f"pose {row + 1} is taken back, and comes no more", *progress(session))
 
 
-def _taken(session: Session, line: str, row: int, pattern: str | None) -> int | None:
-    """Do what a line says at a row of the plan; return the row that it chooses, if it does.
+class SimulatedMachine:
+    """A true machine, driven by the readings of the nominal one; slips and drifts on request."""
 
-    Raises:
-        EOFError: it says to leave.
-        MeasurementError: it is no measurement.
-    """
-    match line.split():
-        case []:
-            return row
-        case ["q"]:
-            raise EOFError
-        case ["p"]:
-            stdout.print(session.result.tables()[0] if session.result else "nothing is known yet")
-            return row
-        case ["r", number] if number.isdecimal() and 0 < int(number) <= len(session.plan):
-            return int(number) - 1
-    say(*filter(None, (obeyed(session, line, row, pattern), *progress(session))))
-    return None
+    def __init__(
+        self, mechanism: Mechanism, truth: Mechanism, noise: Noise, setup: Setup, units: Units
+    ) -> None:
+        self.mechanism, self.truth, self.noise, self.setup = mechanism, truth, noise, setup
+        self.units = replace(units, names={"m": "mm", "rad": "deg", **units.names})
+        self.rng = np.random.default_rng(0)
+        self.slips, self.drift = 0.0, 0.0
+        """Share of rows in which a number slips by ten standard deviations; [m] along x per row."""
+        self._rows = 0
+
+    def measured(self, set_points: Mapping[str, float]) -> dict[str, float]:
+        """Return what is measured where the machine is driven to, columns with their units.
+
+        Raises:
+            MeasurementError: a reading without a set point, or no such pose.
+        """
+        points = {name: head for head in set_points for name in [head.partition(" [")[0]]}
+        if missing := [name for name in self.mechanism.reading_names if name not in points]:
+            raise MeasurementError(f"no set point of {', '.join(missing)}")
+        heads = [points[name] for name in self.mechanism.reading_names]
+        factors = [UNITS.get(head.partition(" [")[2][:-1], ("", 1.0))[1] for head in heads]
+        readings = np.array([[float(set_points[head]) for head in heads]]) * factors
+        plan = Plan(pincal.forward(self.mechanism, readings).poses)
+        if not np.isfinite(plan.poses).all():
+            raise MeasurementError("the machine does not reach that")
+        plan = replace(plan, readings=readings if self.mechanism.by_readings else None)
+        made = pincal.simulate(self.mechanism, self.truth, plan, self.noise, self.rng, self.setup)
+        if not len(data := made.measurements):
+            raise MeasurementError(f"the machine does not reach that: {made.unreachable[0][1]}")
+        sigma = self.noise.of_poses(self.mechanism)
+        place = self.rng.choice(np.flatnonzero(sigma))
+        slip = _SLIP * sigma[place] * self.rng.choice((-1.0, 1.0))
+        poses, self._rows = data.poses.copy(), self._rows + 1
+        poses[0, place] += slip * (self.rng.random() < self.slips)
+        poses[0, 0] += self.drift * self._rows
+        way = "zyx" if self.mechanism.platform.turns == 3 else "tilt-torsion"
+        columns = columns_of(self.mechanism, replace(data, poses=poses), way, self.setup)
+        written = self.units.written(columns).items()
+        return {head: float(np.asarray(values, dtype=float)[0]) for head, values in written}
+
+    def answer(self, line: str) -> str:
+        """Return the line that answers one."""
+        try:
+            return json.dumps(self.measured(json.loads(line)))
+        except (PincalError, ValueError, AttributeError) as error:
+            return json.dumps({"trouble": str(error)})
 
 
-def _shown(session: Session, row: int, gain: float) -> dict[str, float]:
-    """Say what to drive to, and return it."""
-    falls, points = f"; errors fall by {percent(gain)}" * (gain > 0.0), set_points(session, row)
-    say(f"\nrow {row + 1} of {len(session.plan)}{falls}. Drive to")
-    say("  " + ", ".join(f"{head} {value:.7g}" for head, value in points.items()))
-    say(f"  then {', '.join(session.observed or session.columns)}:")
-    return points
+def serve(machine: SimulatedMachine, port: int) -> None:
+    """Answer on a port of this machine, one caller after another, until Ctrl-C."""
 
+    class Line(StreamRequestHandler):
+        def handle(self) -> None:
+            for line in self.rfile:
+                self.wfile.write(machine.answer(line.decode("utf-8", "replace")).encode() + b"\n")
 
-def _on_page(session: Session, ask: Ask | None, options: SourceOptions) -> None:
-    """Serve the page, on which somebody measures, or watches a source."""
-    lock = Lock()
-    server = PageServer(responding(session, options.pattern, lock))
-    say(server.url)
-    sys.stdout.flush()
-    if options.open and not webbrowser.open(server.url):
-        warn("no browser opened; open the address above in one")
-    try:
-        while ask and not session.enough and not session.exhausted:
-            if session.questioned:  # on the page
-                time.sleep(_WAIT)
-                continue
-            row, _ = session.next_pose()
-            line = ask(set_points(session, row))
-            with lock:
-                obeyed(session, line, row, options.pattern)
-        Event().wait()
-    finally:
-        server.close()
+    TCPServer.allow_reuse_address = True
+    with TCPServer(("127.0.0.1", port), Line) as server:
+        say(f"127.0.0.1:{server.server_address[1]}")
+        server.serve_forever()

@@ -130,7 +130,7 @@ class Journal:
                 self.close()
                 raise FileError(
                     f"{self.path} has other columns than these options give: what is measured, "
-                    "and in which units, stays as it was; type them again, or name another folder"
+                    "and in which units, stays as it was; leave them out, or name another folder"
                 ) from error
 
     def close(self) -> None:

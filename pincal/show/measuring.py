@@ -42,26 +42,20 @@ def verdict_on_row(checked: Checked) -> str:
     far = "no pose of this machine belongs to it"
     if checked.sigma < _NUMBERED:
         far = f"{checked.sigma:.3g} σ off, most in the {checked.quantity}"
-    likely = f"; it fits if {causes(checked.causes)}" if checked.causes else ""
+    likely = f": likely {causes(checked.causes)}" if checked.causes else ""
     return f"{row} is recorded, but {far}{likely}. Measure it again (undo), or keep it?"
 
 
 def progress(session: Session) -> list[str]:
     """Return how far the session is: error to expect, what is enough, what is in the way."""
-    lines, error, accuracy = [], session.error, session.options.accuracy
+    error, accuracy = session.error, session.options.accuracy
     count = counted(len(session.measured), "pose")
     if error is None or not np.isfinite(error.position):
-        expected = session.candidates.limit(session.measured)
-        lines.append(f"{count}: not all parameters are determined yet")
-        if session.why:
-            lines.append(session.why)
+        lines = [f"{count}: not all parameters are determined yet", session.why]
     else:
-        expected = error.limit[0]
         share = f" over {percent(session.share)} of the workspace" * (session.share < 0.995)
-        lines.append(
-            f"{count}: expected error {amount(error.position, 'm')}, 95 %: below "
-            f"{amount(expected, 'm')}{share}"
-        )
+        limit = f"95 %: below {amount(error.limit[0], 'm')}"
+        lines = [f"{count}: expected error {amount(error.position, 'm')}, {limit}{share}"]
     if session.result is not None and not session.result.explained:
         lines.append(
             f"residuals are {session.result.excess:.1f} times as large as the noise given; say "
@@ -77,9 +71,8 @@ def progress(session: Session) -> list[str]:
     elif accuracy is not None and error is not None and error.limit[0] <= accuracy:
         lines.append("the next pose widens the measured region, outside of which nothing is stated")
     elif accuracy is not None:
-        poses = counted(session.missing, "more pose")
-        lines.append(f"about {poses} for {amount(accuracy, 'm')}")
-    return lines
+        lines.append(f"about {counted(session.missing, 'more pose')} for {amount(accuracy, 'm')}")
+    return [line for line in lines if line]
 
 
 def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str, str]:
@@ -93,9 +86,9 @@ def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str,
         match = re.search(pattern, line)
         if match is None:
             raise MeasurementError(f"the line {line!r} does not match --pattern {pattern}")
-        if named := match.groupdict():
-            return {name: cell or "" for name, cell in named.items()}
-        cells = [cell or "" for cell in match.groups()]
+        if named := match.groupdict(""):
+            return named
+        cells = [*match.groups("")]
     elif line.startswith("{"):
         try:
             return {name: str(value) for name, value in json.loads(line).items()}
@@ -103,9 +96,8 @@ def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str,
             raise MeasurementError(f"{line!r} is no JSON: {error}") from error
     else:
         parts = re.split(r"\s*[;\s]\s*", line)  # a comma may then be a decimal one
-        cells = line.split(",")
-        if len(parts) > 1:
-            cells = [part.strip(",").replace(",", ".") for part in parts]
+        cells = [part.strip(",").replace(",", ".") for part in parts]
+        cells = cells if len(parts) > 1 else line.split(",")
     for columns in (session.observed, session.columns):
         if len(cells) == len(columns):
             return dict(zip(columns, cells, strict=True))
@@ -115,28 +107,30 @@ def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str,
     )
 
 
-def obeyed(session: Session, line: str, row: int, pattern: str | None = None) -> str:
-    """Do what a line says at a row of the plan; return what is to be said of it.
+def obeyed(session: Session, line: str, row: int, pattern: str | None = None) -> list[str]:
+    """Do what a line says at a row of the plan; return what is to be said then.
 
-    ``u`` undoes the last row, ``u 3`` the third, ``k`` keeps the last, ``s`` skips the pose; all
-    else was measured there.
+    ``u`` undoes the last row, ``u 3`` row 3; ``k`` keeps the last; ``s`` skips the pose, ``r 12``
+    goes to pose 12 of the plan; all else was measured there.
 
     Raises:
         MeasurementError: it is no measurement.
         FileError: it cannot be written.
     """
     match line.split():
-        case ["u"]:
-            session.undo()
-        case ["u", number] if number.isdecimal():
-            session.undo(int(number) - 1)
+        case ["u", *number] if all(map(str.isdecimal, number)) and len(number) < 2:
+            session.undo(int(number[0]) - 1 if number else -1)
         case ["k"]:
             session.keep()
         case ["s"]:
             session.skip(row)
+        case ["r", number] if number.isdecimal() and 0 < int(number) <= len(session.plan):
+            session.chosen = int(number) - 1
+            return []
         case _:
-            return verdict_on_row(session.add(parsed(line, session, pattern), row))
-    return ""
+            checked = session.add(parsed(line, session, pattern), row)
+            return [verdict_on_row(checked), *progress(session)]
+    return progress(session)
 
 
 def responding(session: Session, pattern: str | None, lock: Lock) -> Respond:
@@ -167,15 +161,14 @@ def responding(session: Session, pattern: str | None, lock: Lock) -> Respond:
 def version(session: Session) -> str:
     """Return what differs once anything was done in a session."""
     offered, rows = session.candidates.offered.sum(), session.journal.rows
-    return f"{len(rows)} {rows[-1:]} {session.questioned} {offered}"
+    return f"{len(rows)} {rows[-1:]} {session.questioned} {offered} {session.chosen}"
 
 
 def state(session: Session) -> dict[str, Any]:
     """Return all that a page shows of a session."""
     row, gain = session.next_pose()
-    checked, result = session.checked, session.result
-    table = None if result is None else result.tables()[0]
-    names = {name: session.sheet[name][row] for name in ("set", "pose") if name in session.sheet}
+    table = None if session.result is None else session.result.tables()[0]
+    names = [session.sheet[name][row] for name in ("set", "pose") if name in session.sheet]
     readings = set(session.mechanism.reading_names)
     points = [
         (*head.removesuffix("]").split(" ["), f"{value:.7g}")
@@ -186,7 +179,7 @@ def state(session: Session) -> dict[str, Any]:
         "count": len(session.journal.rows),
         "row": row + 1,
         "rows": len(session.plan),
-        "named": ", ".join(filter(None, names.values())),
+        "named": ", ".join(filter(None, names)),
         "gain": percent(gain),
         "set_points": [point for point in points if point[0] in readings],
         "pose": [point for point in points if point[0] not in readings],
@@ -194,7 +187,7 @@ def state(session: Session) -> dict[str, Any]:
         "observed": session.observed,
         "off": session.questioned,
         "version": version(session),
-        "verdict": "" if checked is None else verdict_on_row(checked),
+        "verdict": "" if session.checked is None else verdict_on_row(session.checked),
         "progress": progress(session),
         "enough": session.enough,
         "doubtful": session.doubtful[0] + 1 if session.doubtful else 0,

@@ -166,6 +166,7 @@ HYPOTHESES: dict[str, Wording] = {
         "Correct the scale of the readings (counts_per_unit or gain of the sensor in "
         "mechanism.yaml)",
     ),
+    "slip": _hypothesis("the {quantity} alone is wrong", "Measure it again"),
     "unknown-frame": _error(
         "the poses are in another frame than the base's",
         "Give --unknown-frame (in Python Setup(unknown_frame=True))",

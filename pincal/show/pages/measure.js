@@ -49,7 +49,7 @@ function show(news) {
   state = news;
   if (!moved) return;
   at("count").textContent = `${news.count} measured`;
-  at("next").textContent = `row ${news.row} of ${news.rows}${news.named && ` (${news.named})`}: drive to`;
+  at("next").textContent = `pose ${news.row} of ${news.rows}${news.named && ` (${news.named})`}: drive to`;
   at("points").replaceChildren(...news.set_points.map(([name, unit, value]) =>
     made("div", "", made("dt", `${name} [${unit}]`), made("dd", value))));
   at("pose").textContent = news.pose.map(([name, unit, value]) => `${name} ${value} ${unit}`).join(", ");
