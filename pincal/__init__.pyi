@@ -31,8 +31,7 @@ from .kinematics.collision import free_of_collision
 from .kinematics.configurations import inverse
 from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
-from .kinematics.singularity import margins
-from .kinematics.tensions import tensions
+from .kinematics.singularity import margins, tensions
 from .model.instrument import Instrument, Tracker
 from .model.joint import End, Follows, Joint
 from .model.leg import Leg

@@ -23,13 +23,10 @@ from pincal import (
     Corrections,
     MeasurementError,
     MechanismError,
-    WorkspaceError,
     sample_configurations,
 )
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
-from pincal.workspace.criteria import in_workspace
-from pincal.workspace.sampling import grid_poses
 
 
 def with_forms(mechanism: pincal.Mechanism, *forms: str) -> pincal.Mechanism:
@@ -179,18 +176,6 @@ def test_a_side_of_approach_that_is_not_given_is_the_middle() -> None:
     np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-15)
 
 
-def test_a_grid_holds_poses_that_count_at_round_numbers() -> None:
-    poses = grid_poses("5R", 300)
-    assert 50 < len(poses) < 600
-    assert in_workspace("5R", poses).all()
-    for values in poses.T:
-        steps = np.diff(np.unique(values.round(9)))
-        np.testing.assert_allclose(steps / steps.min(), np.round(steps / steps.min()), atol=1e-6)
-        assert f"{steps.min():.0e}" == f"{steps.min():.0e}".replace("3", "2")
-    with pytest.raises(WorkspaceError, match="too coarse"):
-        grid_poses("6UPS", 300)
-
-
 def columns(path: Path) -> dict[str, list[str]]:
     """Return the columns of a CSV file as text."""
     rows = [line.split(",") for line in path.read_text().splitlines()]
@@ -282,7 +267,6 @@ def test_orientations_are_commanded_as_they_were_given(tmp_path: Path) -> None:
 def test_wrong_uses_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
     with_forms(pincal.load_mechanism("5R"), "sine").save(tmp_path / "m")
     with_forms(pincal.load_mechanism("5R"), "temperature").save(tmp_path / "warm")
-    with_forms(pincal.load_mechanism("6UPS"), "power").save(tmp_path / "six")
     poses = tmp_path / "poses.csv"
     poses.write_text("x [m],y [m]\n0,\n")
     filled = tmp_path / "filled.csv"
@@ -292,7 +276,6 @@ def test_wrong_uses_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
     for words, message in [
         (("5R", *out), "'5R' has no terms: a controller with its geometry"),
         ((tmp_path / "warm", *out), "all terms of '5R' follow temperature"),
-        ((tmp_path / "six", *out), "too coarse; give the poses"),
         ((m, *out, "--poses", poses), "line 2: empty cell in column 'y'"),
         ((m, *out, "--poses", tmp_path / "none.csv"), "none.csv"),
         ((m, *out, "--units", "mm,counts"), "how many counts"),

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 import pincal
-from pincal import Measurements, Mechanism, Plan
+from pincal import Measurements, Mechanism
 from pincal.cli.app import command, remark, say, stdout, warn, working, wrote
 from pincal.cli.mechanisms import fail_if_lost, first_of, say_reference
 from pincal.cli.options import (
@@ -39,10 +39,9 @@ from pincal.kinematics.influences import own_influences
 from pincal.model.checks import counted
 from pincal.option import option
 from pincal.words.numbers import amount, listed, reading_in
-from pincal.workspace.sampling import grid_poses, has_grid
 
 PROBING = "probing.csv"
-_LARGE, _ROWS = 20.0, 1000  # size that is doubted [m]; rows of a grid over the workspace, about
+_LARGE, _ROWS = 20.0, 1000  # size that is doubted [m]; rows over the workspace
 InputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "marlin"]
 #: Formats by the ending of a file, read and written.
 INPUTS: dict[str, InputFormat] = {
@@ -284,7 +283,6 @@ def export(
     wrote(output)
     if mechanism.amplitudes:
         needed = bool(set(mechanism.influences).difference(mechanism.loaded))
-        needed = needed or not has_grid(mechanism)
         remark(
             "to correct for terms pose by pose (what to add to readings, or which pose to command "
             f"instead): pincal export {quote(mech)} -o corrections.csv --units mm"
@@ -333,8 +331,8 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
             "their reference there is nothing to correct; give poses with these columns (--poses)"
         )
     if plan is None:
-        with working("sampling the workspace for a grid of poses"):
-            plan = Plan(grid_poses(mechanism, _ROWS))
+        with working("sampling the workspace"):
+            plan = pincal.sample_configurations(mechanism, _ROWS)
     table = pincal.corrections(mechanism, plan, options.controller)
     written = correction_columns(mechanism, table, plan.written or "tilt-torsion")
     counts = {**units.counts, **{f"{CORRECTION}{k}": v for k, v in units.counts.items()}}

@@ -34,14 +34,13 @@ _forest = lru_cache(maxsize=64)(Forest)
 class Chain:
     """Elementary joints in a row, and how leg joints and parameters move them.
 
-    The first of them follow parameters that do not deform: they stand still in all configurations.
-    Chains that differ only there share the forest of the others.
+    The first ones follow parameters that do not deform, and stand still in all configurations:
+    chains that differ only there share the forest of the others.
     """
 
     def __init__(
         self, leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None = None
     ) -> None:
-        """Make the chain of some joints of a leg."""
         elements, rows, geared, tip = elementary_joints(leg, joints)
         named = leaders(leg, joints)
         self.columns = [i for i, joint in enumerate(leg.moving) if joint.name in named]
@@ -128,11 +127,10 @@ def leg_chain(leg: Leg, spatial: bool, name: str | None = None) -> Chain:
 
 
 @lru_cache(maxsize=64)
-def body_chain(leg: Leg, index: int) -> Chain:
+def body_chain(leg: Leg, joint: Joint) -> Chain:
     """Return the chain from the base to the centre of mass of the link behind a joint."""
-    joints = [leg.joints[place] for place in leg.path(leg.joints[index].name)]
-    centre = Joint("centre", "fixed", Placement(xyz=joints[-1].centre))
-    return Chain(leg, (*joints, centre), spatial=True)
+    joints = [leg.joints[place] for place in leg.path(joint.name)]
+    return Chain(leg, (*joints, Joint("centre", "fixed", Placement(xyz=joint.centre))), True)
 
 
 @lru_cache(maxsize=256)
@@ -153,8 +151,8 @@ def elementary_joints(
 ) -> tuple[tuple[Elementary, ...], Array, list[tuple[int, int, int, float]], tuple[float, ...]]:
     """Return n elementary joints, how they follow leg joints, then parameters, (n, k), and the tip.
 
-    The tip is a constant placement behind the last one; before it stand the joints that follow
-    another one by a parameter: which elementary joint, which leg joint, which parameter, sign.
+    Before the tip, a constant placement behind the last one, stand those that follow a joint by a
+    parameter: which elementary joint, which leg joint, which parameter, sign.
     """
     columns = leaders(leg, joints)
     behind, width = len(columns), len(columns) + len(leg.parameters)
@@ -185,21 +183,16 @@ def elementary_joints(
         if joint.kind != "fixed":
             name, ratio, offset = joint.leader
             pending = pending @ joint.motion(np.array([offset]))[0]
-            column, (element, sign) = columns.index(name), _motion(joint, _key(pending))
+            column, turn = columns.index(name), "r" if joint.turns else ""
+            element, sign = Elementary(turn or "t", _key(pending), joint.axis), 1.0
+            if 1.0 in np.abs(joint.axis):
+                place = int(np.argmax(np.abs(joint.axis)))
+                element, sign = Elementary(turn + "xyz"[place], _key(pending)), joint.axis[place]
             add(element, column, 0.0 if joint.ratio else sign * ratio)
             if joint.ratio:
                 parameter = leg.parameter_names.index(joint.ratio)
                 geared.append((len(rows) - 1, column, parameter, sign))
     return tuple(elements), np.reshape(rows, (len(rows), width)), geared, _key(pending)
-
-
-def _motion(joint: Joint, placement: tuple[float, ...]) -> tuple[Elementary, float]:
-    """Return the elementary joint of a joint that moves, and the sign of its axis."""
-    turn = "r" if joint.turns else ""
-    for letter, component in zip("xyz", joint.axis, strict=True):
-        if abs(component) == 1.0:
-            return Elementary(turn + letter, placement), component
-    return Elementary(turn or "t", placement, joint.axis), 1.0
 
 
 def _key(matrix: Array) -> tuple[float, ...]:
@@ -221,10 +214,7 @@ class PlatformPoint(NamedTuple):
 
 
 def platform_point(leg: Leg, end: int, parameters: Array, deformations: Array) -> PlatformPoint:
-    """Return the platform point of a leg's end at parameter values; in N rows if it deforms.
-
-    Deformations have shape (N, n_deformed), [m] or [rad], or (N, 0): there are none.
-    """
+    """Return the platform point of a leg's end; in N rows where deformations, (N, n), move it."""
     chain = point_chain(leg, end)
     if chain.entries and deformations.shape[1]:
         return _placed(chain, parameters, deformations)

@@ -2,10 +2,9 @@
 
 A pointing joint, a revolute in the plane or a universal in space, carries either a rod, and is
 moved along a circle or a line by a drive (planar dyads, deltas, rotary hexapods, carriages), or a
-slide through its own centre (struts, cables). They give the start from which Newton's method on the
-closure needs one step, and say at once what is out of reach. Axes and points are read off the
-calibration chain at zero joint positions, so that the forms hold for any parameter values and URDF
-frames.
+slide through its own centre (struts, cables). They start Newton's method on the closure one step
+from its end, and say at once what is out of reach. Axes and points are read off the chain at zero
+joint positions, so that the forms hold for any parameter values and URDF frames.
 
 Planar dyads, struts and cables reach a platform point if its distance from the leg's centre lies
 between two bounds (a shell), and on the right side of planes. Stroke, elbow margin and the turn of
@@ -17,7 +16,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -71,8 +69,8 @@ class ClosedForm:
     def joints(self, targets: Array) -> tuple[Array, Mask]:
         """Return joint positions that take the tip to targets, (N, n_joints), and what is in reach.
 
-        A target out of a rod's reach gets the leg stretched or folded towards it. A slide reaches
-        all but the centre.
+        Out of a rod's reach the leg is stretched or folded towards the target; a slide reaches all
+        but the centre.
         """
         if self.frame is None:
             arm = self._from_centre(targets)
@@ -130,9 +128,8 @@ class ClosedForm:
     def reach(self, least_type1: float = 0.0) -> Reach:
         """Return where the leg can have its tip; a margin from singularities bounds an elbow.
 
-        The shell of a slide, cut by the first axis' limits; the ring of a dyad,
-        |cos of the elbow| ≤ √(1 − margin²), or a shell around it all: in space a drive turns its
-        rod's joint in one plane only, and a line has two ends.
+        The shell of a slide, cut by the first axis' limits; the ring of a dyad, |cos of the elbow|
+        ≤ √(1 − margin²); of rods in space, and on lines, a shell around it all.
         """
         leg, centre, planes = self.closure.leg, self.centre, list[Array]()
         exact, drives = True, leg.active == [self.driven]
@@ -238,7 +235,6 @@ def _rod(form: ClosedForm, zero: Array, home: Array) -> ClosedForm | None:
 
 
 def _sign(value: float) -> float:
-    """Return the sign of a number, 1 of zero."""
     return float(np.sign(value)) or 1.0
 
 
@@ -247,99 +243,10 @@ def _arm(columns: Array) -> Array:
     return np.cross(columns[:3, -1], columns[3:, -1])
 
 
-class OffsetSlide(NamedTuple):
-    """Where a slide passes its universal joint at a distance, as a cable its pulley's middle.
-
-    In the plane through the first axis that holds the target, the slide is tangent to a circle
-    about the second one; as that turns by θ, a gear may move the slide by θ times its ratio.
-    """
-
-    closure: LegClosure
-    centre: Array
-    """On the first axis, beside the second one, base frame, shape (3,), [m]."""
-    frame: Array
-    """Columns: at zero from the first axis to the second one, that one, the first; (3, 3)."""
-    offset: float
-    """How far the axes are apart, [m]."""
-    ratio: float
-    """Of the gear, [m/rad]."""
-    way: complex
-    """Direction of the slide at zero, its angle counted from the first axis."""
-    past: complex
-    """The tip at zero from the second axis, along the slide and past it, [m]."""
-    side: float
-    """Sign at home of the target's distance from the first axis."""
-    mode: float
-    """Sign at home of the tip's distance along the slide from the tangent point."""
-
-    def joints(self, targets: Array) -> tuple[Array, Mask]:
-        """Return joint positions that take the tip to targets, (N, 3), and what is in reach."""
-        home = self.closure.leg.home
-        x, y, height = self.frame.T @ (targets - self.centre).T
-        radial = self.side * np.hypot(x, y) - self.offset
-        square = radial**2 + height**2 - self.past.imag**2
-        free = self.mode * np.sqrt(np.clip(square, 0.0, None))
-        turn = np.angle((height + 1j * radial) / ((free + 1j * self.past.imag) * self.way))
-        swivel = home[0] + wrapped(np.arctan2(self.side * y, self.side * x) - home[0])
-        turn = home[1] + wrapped(turn - home[1])
-        slide = free - self.past.real - self.ratio * turn
-        return np.stack((swivel, turn, slide), axis=1), square >= 0.0
-
-
-@lru_cache(maxsize=256)
-def offset_slide(closure: LegClosure) -> OffsetSlide | None:
-    """Return the closed form of a slide that passes its universal joint, or None if it is none."""
-    leg, small = closure.leg, ROUNDING * closure.size
-    kinds = [joint.kind for joint in leg.moving]
-    if closure.projects or closure.platform.space == 2 or kinds != ["revolute"] * 2 + ["prismatic"]:
-        return None
-    joints = np.stack((np.zeros(3), leg.home))
-    zero, home = closure.motion(joints).twists().transpose(2, 0, 1)[:, :, :3]
-    tip, (first, second), slide = closure.tips(joints)[0], zero[3:, :2].T, zero[:3, 2]
-    if (ratio := _ratio(closure, slide)) is None:
-        return None
-    arm = np.cross(zero[:3, 1] - ratio * slide, second)  # from the second axis
-    to_tip = np.cross(zero[:3, 0], first)  # from the first one, at a right angle
-    frame = np.stack((np.cross(second, first), second, first), axis=1)
-    skew = max(abs(first @ second), abs(second @ slide))
-    if skew > ROUNDING or max(abs(second @ to_tip), abs(second @ arm)) > small:
-        return None
-    offset = float((to_tip - arm) @ frame[:, 0])
-    centre = tip - arm - offset * frame[:, 0]
-    tip_at, way = (complex(vector @ first, vector @ frame[:, 0]) for vector in (arm, slide))
-    to_tip_home = np.cross(home[:3, 0], first)
-    radial = np.cross(home[3:, 1], first)
-    arm_home = np.cross(home[:3, 1] - ratio * home[:3, 2], home[3:, 1])
-    side, mode = _sign(float(to_tip_home @ radial)), _sign(float(arm_home @ home[:3, 2]))
-    past = tip_at / way
-    return OffsetSlide(closure, centre, frame, offset, ratio, way, past, side, mode)
-
-
-def _ratio(closure: LegClosure, slide: Array) -> float | None:
-    """Return by how much turns of the second joint move a slide along its way, (3,), [m/rad].
-
-    None if joints that follow move anything else.
-    """
-    leg, ratio = closure.leg, 0.0
-    links = leg.link_placements(np.zeros((1, len(leg.moving))))[0]
-    for joint in (joint for joint in leg.articulated if joint.follows):
-        along = float(links[leg.index(joint.name), :3, :3] @ joint.axis @ slide)
-        second = joint.leader.joint == leg.moving[1].name
-        if not second or joint.turns or abs(along) < 1.0 - ROUNDING:
-            return None
-        ratio += along * closure.by_name.get(joint.ratio, joint.leader.ratio)
-    return ratio
-
-
 def is_line(closure: LegClosure) -> bool:
-    """Return whether a leg is a driven slide on a universal joint, which only measures a length.
-
-    The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
-    That over a pulley bends to the side of home.
-    """
+    """Return whether a leg is a driven slide on a universal joint: both its ways are one line."""
     form = closed_form(closure)
-    straight = form is not None and form.frame is None
-    return closure.leg.active == [2] and (straight or offset_slide(closure) is not None)
+    return closure.leg.active == [2] and form is not None and form.frame is None
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import cross, least_squares, parted, product, repeated, stacked
-from pincal.kinematics.closed_forms import closed_form, offset_slide
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import Closure, LegClosure, each, evaluate, joint_range
 from pincal.model.checks import ROUNDING, wrapped
 from pincal.model.leg import Leg
@@ -41,7 +41,7 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
     stretched or folded towards it. Attempts count from 0; each gives another sampled start, a
     closed form has one.
     """
-    form = closed_form(closure) or offset_slide(closure)
+    form = closed_form(closure)
     if form:
         joints, possible = form.joints(closure.targets(matrices))
         return joints, possible & (attempt == 0)

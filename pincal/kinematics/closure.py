@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -183,64 +184,36 @@ class Closure:
         return np.concatenate((rows, self.turning[1] @ turns), axis=1)
 
 
-@dataclass(frozen=True)
-class Loop:
-    """Closure of an end that meets a frame of its own leg, in that frame, at N configurations.
-
-    Its rows are those of the twist of the tip against the frame, taken at the tip.
-    """
+class Loop(NamedTuple):
+    """Closure of an end that meets a frame of its own leg, in that frame: see ``Closure``."""
 
     leg: LegClosure
     """Of that end."""
-    matrices: Array
-    tip: Motion
-    frame: Motion
+    gap: Array
+    by_joints: Array
+    parameter: Array
+    pose: Array
+    """∂c/∂x, which is zero, shape (N, m, dof)."""
 
-    @cached_property
-    def gap(self) -> Array:
-        """c, shape (N, m), [m]; rotation vectors are multiplied by the leg's size."""
-        shift = np.einsum("nij,jn->ni", self.to_frame, self.tip.tips - self.frame.tips)
-        if self.leg.axes:
-            shift = np.hstack((shift, self.leg.size * self.error))
-        return shift[:, self.leg.rows]
 
-    @cached_property
-    def to_frame(self) -> Array:
-        """Turns from the base's axes to those of the frame, shape (N, 3, 3)."""
-        return self.frame.turns.transpose(0, 2, 1)
-
-    @cached_property
-    def error(self) -> Array:
-        """Rotation vectors from the frame to the tip, shape (N, 3), [rad]."""
-        return turn_between(self.to_frame @ self.tip.turns, np.eye(3)[None])
-
-    @cached_property
-    def by_joints(self) -> Array:
-        """∂c/∂(θ, p) of the joints that move the end, in order, shape (N, m, n)."""
-        return self._derivative[:, :, self.leg.columns]
-
-    @cached_property
-    def parameter(self) -> Array:
-        """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
-        return self._derivative[:, :, len(self.leg.leg.moving) :]
-
-    @cached_property
-    def pose(self) -> Array:
-        """∂c/∂x, which is zero, shape (N, m, dof)."""
-        return np.zeros((*self.gap.shape, self.leg.platform.dof))
-
-    @cached_property
-    def _derivative(self) -> Array:
-        n, k = len(self.leg.leg.moving), len(self.leg.parameters)
-        twists = np.zeros((6, n + k, len(self.matrices)))
-        at_tip = replace(self.frame, tips=self.tip.tips)
-        for moved, chain, sign in zip((self.tip, at_tip), self.leg.chains, (1, -1), strict=True):
-            twists[:, [*chain.columns, *range(n, n + k)]] += sign * moved.twists()
-        linear, angular = (self.to_frame @ part.transpose(2, 0, 1) for part in np.split(twists, 2))
-        if self.leg.axes:
-            turns = self.leg.size * inverse_left_jacobian(self.error) @ angular
-            linear = np.concatenate((linear, turns), axis=1)
-        return linear[:, self.leg.rows]
+def _loop(end: LegClosure, joints: Array) -> Loop:
+    """Return the closure of a loop, of the twist of its tip against the frame, taken at the tip."""
+    tip, frame = (c.motion(end.parameters, end.along(joints, c)) for c in end.chains)
+    to_frame = frame.turns.transpose(0, 2, 1)
+    gap = np.einsum("nij,jn->ni", to_frame, tip.tips - frame.tips)
+    n, k = len(end.leg.moving), len(end.parameters)
+    twists, at_tip = np.zeros((6, n + k, len(joints))), replace(frame, tips=tip.tips)
+    for moved, chain, sign in zip((tip, at_tip), end.chains, (1, -1), strict=True):
+        twists[:, [*chain.columns, *range(n, n + k)]] += sign * moved.twists()
+    slopes, angular = (to_frame @ part.transpose(2, 0, 1) for part in np.split(twists, 2))
+    if end.axes:
+        error = turn_between(to_frame @ tip.turns, np.eye(3)[None])
+        gap = np.hstack((gap, end.size * error))
+        turns = end.size * inverse_left_jacobian(error) @ angular
+        slopes = np.concatenate((slopes, turns), axis=1)
+    gap, slopes = gap[:, end.rows], slopes[:, end.rows]
+    pose = np.zeros((*gap.shape, end.platform.dof))
+    return Loop(end, gap, slopes[:, :, end.columns], slopes[:, :, n:], pose)
 
 
 @dataclass(frozen=True)
@@ -400,7 +373,13 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
     Joints have shape (L N, n_joints …), poses (L N, 4, 4): see ``LegClosure.evaluate``.
     """
     if legs[0].ends:
-        return _tree(legs[0], joints, matrices)
+        main, *ends = legs[0].ends
+        met = evaluate((main,), joints, matrices)
+        others = (
+            _loop(end, joints) if end.chains[1:] else evaluate((end,), joints, matrices)
+            for end in ends
+        )
+        return TreeClosure(legs[0], matrices, met.motion, met.point, (met, *others))
     along, begun = legs[0].along(joints, legs[0].chain), [c.chain.begin(c.parameters) for c in legs]
     moved = motion([leg.chain for leg in legs], begun, along)
     points, count = [leg.point_at(joints) for leg in legs], len(joints) // len(legs)
@@ -409,19 +388,6 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
     parts = zip(*((point.arm, point.twists) for point in points), strict=True)  # none deforms
     arm, twists = (np.repeat(np.concatenate(part, axis=2), count, axis=2) for part in parts)
     return Closure(legs[0], matrices, moved, points[0]._replace(arm=arm, twists=twists))
-
-
-def _tree(leg: LegClosure, joints: Array, matrices: Array) -> Closure:
-    """Return the closure of a leg with several ends: see ``evaluate``."""
-    main = evaluate(leg.ends[:1], joints, matrices)
-    parts: list[Closure | Loop] = [main]
-    for end in leg.ends[1:]:
-        if len(end.chains) == 1:
-            parts.append(end.evaluate(joints, matrices))
-        else:
-            tip, frame = (c.motion(leg.parameters, leg.along(joints, c)) for c in end.chains)
-            parts.append(Loop(end, matrices, tip, frame))
-    return TreeClosure(leg, matrices, main.motion, main.point, tuple(parts))
 
 
 def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: Array) -> Array:

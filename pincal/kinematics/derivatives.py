@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks, least_squares, lengths, parted, product, stacked
-from pincal.kinematics.closing import ClosedLegs, close, grouped, sensor_law, started
+from pincal.kinematics.closing import close, grouped, sensor_law, started
 from pincal.kinematics.closure import Closure, LegClosure, each, evaluate
 from pincal.model.checks import EXACT
 from pincal.model.platform import Poses
@@ -30,12 +30,9 @@ def nearest_closure(
     """Return the closure of L alike legs at poses and readings, |c| least, and the joints there.
 
     Poses and readings need not agree: what is left of the closure, Nᵀ c, exists out of reach and
-    stays tame near singularities. N rows of each leg stand below those of the one before.
-    Deformations of parameters stand behind joint positions, if there are any.
-
-    Poses have shape (L N, 4, 4), readings [rad] or [m], then influences, (L N, n_active
-    [+ n_influences]). The search for passive joints starts near those that close the legs, or at
-    joints (L N, n_joints [+ n_deformed]).
+    stays tame near singularities. Poses have shape (L N, 4, 4), N of each leg below those of the
+    one before; readings [rad] or [m], then influences, (L N, n_active [+ n_influences]). Passive
+    joints start near those that close the legs, or at joints (L N, n_joints [+ n_deformed]).
     """
     leg = legs[0].leg
     positions, count = started(legs, matrices, known, joints), len(matrices) // len(legs)
@@ -55,18 +52,15 @@ def nearest_closure(
 
 
 def _curved_step(closed: Closure, rows: Mask) -> Array:
-    """Return Newton steps of passive joints where points stay far apart, shape (n, n_passive).
-
-    Gauss-Newton steps are right where c is 0; out of reach the paths' curvature c · (ω_i × v_j),
-    i ≤ j, counts as much, and without it they overshoot. Where |c| is no minimum along a
-    direction, the step goes down it (saddle-free Newton).
-    """
+    """Return Newton steps of passive joints where points stay far apart, shape (n, n_passive)."""
+    # Gauss-Newton steps are right where c is 0; out of reach the paths' curvature c · (ω_i × v_j),
+    # i ≤ j, counts as much, and without it they overshoot. Where |c| is no minimum along a
+    # direction, the step goes down it (saddle-free Newton).
     gap, J = closed.gap[rows], closed.passive[rows]
     n, m = len(gap), gap.shape[1]
     turning, space = np.zeros((3, J.shape[2], n)), np.zeros((n, 3, J.shape[2] + 1))
-    rates = closed.motion.twists_at_tip(list(closed.leg.leg.passive))[
-        len(closed.motion.tips) :, :, rows
-    ]
+    twists = closed.motion.twists_at_tip(list(closed.leg.leg.passive))
+    rates = twists[len(closed.motion.tips) :, :, rows]
     turning[3 - len(rates) :] = rates
     space[:, :m, :-1], space[:, :m, -1] = J, gap
     v, c = space[:, :, :-1], space[:, :, -1]
@@ -119,12 +113,12 @@ def demands(
     columns = (closure.constraint, closure.constraint_by_pose, joints, by_parameter, drive, known)
     parts = (parted(column, len(legs)) for column in columns)
     return [
-        Demand(value, pose, positions, *_by_own(leg, *geometry))
+        Demand(value, pose, positions, *_derivatives(leg, *geometry))
         for leg, value, pose, positions, *geometry in zip(legs, *parts, strict=True)
     ]
 
 
-def _by_own(leg: LegClosure, rows: Array, drive: Array, known: Array) -> tuple[Array, Array]:
+def _derivatives(leg: LegClosure, rows: Array, drive: Array, known: Array) -> tuple[Array, Array]:
     """Return ∂e/∂φ, (N, k, n_params), and ∂e/∂ψ, (N, k, n_active), of ∂e/∂φ and ∂e/∂θ of geometry.
 
     A deformation is added to its parameter, so ∂e/∂a = ∂e/∂p · b.
@@ -181,40 +175,27 @@ def _alike_demands(
     parts = []
     for rows in list(chunks(len(placed[0]))) or [slice(0)]:
         matrices = stacked([poses[rows] for poses in placed])
-        if known is None:
-            columns = stacked([values[rows] for values in influences])
-            parts.append(_predicted(legs, matrices, columns))
-        else:
+        if known is not None:
             columns = stacked([values[rows] for values in known])
             start = stacked([joints[rows] for joints in near]) if near else None
             parts.append(demands(legs, columns, *nearest_closure(legs, matrices, columns, start)))
+            continue
+        columns = stacked([values[rows] for values in influences])
+        closed = close(legs, matrices, columns)
+        columns = np.hstack((each(_readings, legs, closed.joints, columns), columns))
+        parts.append(demands(legs, columns, closed.closure, closed.joints))
+        for demand, reached in zip(parts[-1], parted(closed.reached, len(legs)), strict=True):
+            if not reached.all():
+                for values in demand:
+                    values[~reached] = np.nan
     if len(parts) == 1:
         return parts[0]
     of_legs = zip(*parts, strict=True)
     return [Demand(*map(np.concatenate, zip(*of_leg, strict=True))) for of_leg in of_legs]
 
 
-def _predicted(legs: Sequence[LegClosure], matrices: Array, influences: Array) -> list[Demand]:
-    """Return what alike legs demand at readings of inverse kinematics, NaN out of reach."""
-    closed, known = _closed(legs, matrices, influences)
-    of_legs = demands(legs, known, closed.closure, closed.joints)
-    if not closed.reached.all():
-        for demand, reached in zip(of_legs, parted(closed.reached, len(legs)), strict=True):
-            for values in demand:
-                values[~reached] = np.nan
-    return of_legs
-
-
-def _closed(
-    legs: Sequence[LegClosure], matrices: Array, influences: Array
-) -> tuple[ClosedLegs, Array]:
-    """Return alike legs closed at poses, and the readings and influences there."""
-    closed = close(legs, matrices, influences)
-
-    def reading(leg: LegClosure, joints: Array, columns: Array) -> Array:
-        return sensor_law(leg).reading(joints[:, leg.leg.active], columns)
-
-    return closed, np.hstack((each(reading, legs, closed.joints, influences), influences))
+def _readings(leg: LegClosure, joints: Array, influences: Array) -> Array:
+    return sensor_law(leg).reading(joints[:, leg.leg.active], influences)
 
 
 def identification_jacobian(
@@ -246,13 +227,12 @@ def identification_jacobian(
     mechanism = as_mechanism(mechanism)
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     placed = mechanism.platform.matrices(poses)
-    C = np.empty((len(closure.leg.sensors), len(closure.parameters), len(placed))).transpose(
-        2, 0, 1
-    )
+    C = np.empty((len(closure.leg.sensors), len(closure.parameters), len(placed)))
     for rows in chunks(len(placed)):
-        closed, known = _closed((closure,), placed[rows], np.zeros((len(placed[rows]), 0)))
-        by_parameter = closed.closure.constraint_by_parameter
-        parameter, reading = _by_own(closure, by_parameter, closed.closure.drive, known)
-        C[rows] = -least_squares(reading, parameter)
-        C[rows][~closed.reached] = np.nan
-    return C.reshape(-1, C.shape[2])
+        closed, none = close((closure,), placed[rows]), np.zeros((len(placed[rows]), 0))
+        geometry, drive = closed.closure.constraint_by_parameter, closed.closure.drive
+        known = _readings(closure, closed.joints, none)
+        parameter, reading = _derivatives(closure, geometry, drive, known)
+        C[:, :, rows] = -least_squares(reading, parameter).transpose(1, 2, 0)
+        C[:, :, rows][:, :, ~closed.reached] = np.nan
+    return C.transpose(2, 0, 1).reshape(-1, len(closure.parameters))

@@ -29,6 +29,8 @@ _JOINTS = {
     "rx": pin.JointModelRX,
     "ry": pin.JointModelRY,
     "rz": pin.JointModelRZ,
+    "t": pin.JointModelPrismaticUnaligned,
+    "r": pin.JointModelRevoluteUnaligned,
 }
 _COLUMNS = 40  # keep nv near this: calls cost what they do with 64, Pinocchio's data a quarter
 Vector = tuple[float, float, float]
@@ -45,11 +47,8 @@ class Elementary:
 
     def added_to(self, model: pin.Model, parent: int) -> int:
         """Add the joint to a model of Pinocchio's behind another one; return its index."""
-        unaligned = {"t": pin.JointModelPrismaticUnaligned, "r": pin.JointModelRevoluteUnaligned}
-        if self.axis in unaligned:
-            joint = unaligned[self.axis](np.array(self.vector))
-        else:
-            joint = _JOINTS[self.axis]()
+        kind, along = _JOINTS[self.axis], self.axis in ("t", "r")
+        joint = kind(np.array(self.vector)) if along else kind()
         placement = np.reshape(self.placement, (4, 4)) if self.placement else np.eye(4)
         return int(model.addJoint(parent, joint, pin.SE3(placement), f"joint {model.njoints}"))
 
@@ -64,10 +63,10 @@ class Forest:
         spatial: bool = True,
         copies: int | None = None,
     ) -> None:
-        """Make the forest of a chain of joints, base first.
+        """Make the forest of a chain of joints, base first; of as many copies as pay.
 
         Its tip is a constant placement after the last joint, row by row, wanted in space or in the
-        plane across z only. By default it has as many copies side by side as pay.
+        plane across z only.
         """
         chain = chain or (Elementary("rz"),)  # one that nobody turns
         self.chain, self.spatial = chain, spatial
@@ -99,10 +98,8 @@ class Forest:
         blocks, size = -(-count // self.copies), self.copies * self.width
         padded = np.zeros((legs, blocks * self.copies, self.width))
         padded[:, :count, :n] = configurations
-        columns, ends = (
-            np.empty((legs * blocks, size, 6)),
-            np.empty((legs * blocks, self.copies, 12)),
-        )
+        columns = np.empty((legs * blocks, size, 6))
+        ends = np.empty((legs * blocks, self.copies, 12))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
         to_columns, length = _bytes(columns), len(self._columns)
         with self._turn:
@@ -168,14 +165,19 @@ class Motion:
         if self.begun is not None and (begun := self.begun[:, :, motions]).any():
             by_chain = twists.reshape(*twists.shape[:2], len(begun), -1)
             by_chain += begun.transpose(1, 2, 0)[..., None]
-        return _at_tips(self.tips, twists)
+        if len(self.tips) == 2:
+            twists[0] -= twists[2] * self.tips[1]
+            twists[1] += twists[2] * self.tips[0]
+            return twists
+        (x, y, z), (wx, wy, wz) = self.tips, twists[3:]
+        twists[0] += wy * z - wz * y
+        twists[1] += wz * x - wx * z
+        twists[2] += wx * y - wy * x
+        return twists
 
     def power(self, force: Array, after: int) -> Array:
-        """Return the power of forces at the tip, (2 or 3, N), in all motions after so many.
-
-        Shape (k', N). It is the same at every point: taken at the base's origin, no twist has to be
-        carried on.
-        """
+        """Return the power of forces at the tip, (2 or 3, N), in motions after so many, (k', N)."""
+        # the same at every point: taken at the base's origin, no twist has to be carried on
         at_origin = wrench(self.tips, force)
         by_joint = np.einsum("rjn,rn->jn", self.columns, at_origin)
         power = self.rates[after:] @ by_joint
@@ -203,19 +205,6 @@ def wrench(arm: Array, force: Array) -> Array:
     if len(force) == 2:
         return np.concatenate((force, (arm[0] * force[1] - arm[1] * force[0])[None]))
     return np.concatenate((force, cross(arm.T, force.T).T))
-
-
-def _at_tips(tips: Array, twists: Array) -> Array:
-    """Return twists (3 or 6, k, N) at the base's origin as twists at tips, in place."""
-    if len(tips) == 2:
-        twists[0] -= twists[2] * tips[1]
-        twists[1] += twists[2] * tips[0]
-        return twists
-    (x, y, z), (wx, wy, wz) = tips, twists[3:]
-    twists[0] += wy * z - wz * y
-    twists[1] += wz * x - wx * z
-    twists[2] += wx * y - wy * x
-    return twists
 
 
 def pinocchio_model(mechanism: Mechanism) -> tuple[pin.Model, list[pin.RigidConstraintModel]]:
@@ -278,11 +267,8 @@ def _mass(mass: float, centre: Vector) -> pin.Inertia:
 def placements_in(memory: pin.StdVec_SE3) -> Array:
     """Return n placements where Pinocchio keeps them, shape (n, 12): to be read and written there.
 
-    Rotation matrices column by column, then positions. Of no meaning once the model or data that
-    they are in are gone, or joints are added.
-
-    Raises:
-        TypeError: this Pinocchio keeps them in another way.
+    Rotation matrices column by column, then positions; as long as model or data stay as they are.
+    TypeError if this Pinocchio keeps them in another way.
     """
     first, last, size = memory[0].rotation, memory[-1], memory[0].rotation.itemsize
     begin, end, position = (

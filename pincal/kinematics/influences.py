@@ -59,10 +59,9 @@ def influence_columns(
 
 
 def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = None) -> Array | None:
-    """Return the columns of influences of a plan's or measurements' rows, in order of time.
+    """Return the columns of influences of rows in order of time, (N, n_influences), or None.
 
-    Shape (N, n_influences); None if no term depends on any. Readings, shape (N, n_readings), are
-    those of the plan if not given.
+    Readings, shape (N, n_readings), are those of the plan or measurements if not given.
     """
     measured = own_influences(mechanism, plan.influences)
     columns = influence_columns(mechanism, measured, len(plan))
@@ -88,11 +87,10 @@ def by_name(mechanism: Mechanism, columns: Array | None) -> dict[str, Array]:
 
 
 def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
-    """Return from which side readings were come to, +1 from below, -1 from above, shape (N,).
+    """Return from which side readings, in order of time, were come to: +1 below, -1 above, (N,).
 
     A reading that stays keeps its side, and one that goes back by less than a thousandth of its
     range, which is noise. NaN until it first moves, in each run, and where it was not read.
-    Readings are in order of time, shape (N,).
     """
     sides_of_rows = np.full(len(readings), np.nan)
     read = np.flatnonzero(np.isfinite(readings))
@@ -174,9 +172,9 @@ def _links(leg: LegClosure, joints: Array, gravity: Array) -> Array:
     """Return what links lose in height by joints, then parameters, times weight, (N, n + k)."""
     n = len(leg.leg.moving)
     lost_height = np.zeros((len(joints), n + len(leg.parameters)))
-    for index, joint in enumerate(leg.leg.joints):
+    for joint in leg.leg.joints:
         if joint.mass:
-            chain = body_chain(leg.leg, index)
+            chain = body_chain(leg.leg, joint)
             motion = chain.motion(leg.parameters, joints[:, chain.columns])
             lost = joint.mass * np.einsum("x,xjn->nj", gravity, motion.twists()[:3])
             lost_height[:, chain.columns] += lost[:, : len(chain.columns)]

@@ -1,10 +1,16 @@
-"""How far poses are from singularities, dimensionless.
+"""How far poses are from singularities, dimensionless, and how much cables pull there.
 
 Type 1 (a leg loses the grip of its drive): |Nᵀ ∂c/∂θ| over the lever of the drive; at a
 planar dyad the sine of the elbow angle. Type 2 (the platform gains a freedom): the
 determinant of the legs' constraint lines, unit directions, moments over the platform's
 radius. Its sign is relative to the home pose: negative poses lie across a type-2
 singularity, in another assembly mode.
+
+Cables only pull. Their tensions t hold the platform against its weight if Jᵀ t = w, J by how much
+each cable lengthens with motions of the platform, w the wrench of the weight. With r cables more
+than freedoms the solutions fill a polytope of r dimensions; of least sum is one of its corners, at
+which r cables are at a limit, or several, of which the mean is taken. All corners of many poses are
+worked out in one call (a linear program for each pose says the same).
 """
 
 from __future__ import annotations
@@ -12,18 +18,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations, product
 
 import numpy as np
 
+from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks, cross, point_velocity
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_legs, sensor_law
 from pincal.kinematics.closure import Closure, nominal_legs
 from pincal.kinematics.derivatives import nearest_closure
+from pincal.kinematics.influences import weight
+from pincal.model.checks import EXACT, ROUNDING
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-from pincal.types import Array
+from pincal.model.terms import Cables
+from pincal.types import Array, Mask
+
+_MOST = 3  # cables more than freedoms: with more, corners are too many
 
 
 @dataclass(frozen=True)
@@ -154,3 +167,95 @@ def home_determinant(mechanism: Mechanism) -> float:
             return float("nan")
         lines.append(closed.closure.constraint_by_pose)
     return float(_volume(mechanism, np.concatenate(lines, axis=1))[0])
+
+
+def tensions(mechanism: GivenMechanism, poses: Poses) -> Array:
+    """Return the least tensions within the limits of ``Mechanism.cables``, (N, n_legs), [N].
+
+    Of least sum; NaN where cables cannot hold the platform, or do not reach. The weight is that of
+    ``Mechanism.load``.
+
+    Args:
+        mechanism: The mechanism; or its name or folder.
+        poses: N poses, coordinates of shape (N, dof), [m] and [rad].
+
+    Raises:
+        MechanismError: a mechanism that is no cable robot; poses of a wrong shape, or not finite.
+
+    Example:
+        >>> import pincal
+        >>> pincal.tensions("8cable", [[0.0, 0.0, 1.5, 0.0, 0.0, 0.0]]).round(1).tolist()
+        [[51.2, 51.2, 51.2, 51.2, 51.2, 51.2, 51.2, 51.2]]
+    """
+    mechanism = as_mechanism(mechanism)
+    placed = mechanism.platform.matrices(poses)
+    least = np.empty((len(placed), len(mechanism.legs)))
+    for rows in chunks(len(placed)):
+        closed = close_legs(nominal_legs(mechanism), placed[rows])
+        lines = by_leg(closed, lambda legs: legs.closure.constraint_by_pose / legs.closure.drive)
+        reached = np.all(by_leg(closed, lambda legs: legs.reached), axis=0)
+        least[rows] = np.where(
+            reached[:, None], least_tensions(mechanism, placed[rows], lines), np.nan
+        )
+    return least
+
+
+def least_tensions(
+    mechanism: Mechanism, matrices: Array, lines: list[Array], least: float | None = None
+) -> Array:
+    """Return the least tensions at poses (N, 4, 4), shape (N, n_legs), [N]; NaN where none hold.
+
+    Lines are of each leg −∂L/∂x, shape (N, 1, dof). No tension is below the least, [N], nor below
+    that of the mechanism's cables.
+    """
+    cables, count = mechanism.cables, len(mechanism.legs)
+    surplus = count - mechanism.platform.dof
+    if cables is None or not 0 <= surplus <= _MOST:
+        raise MechanismError(
+            f"{mechanism.name!r} has no tensions: expected 'cables: {{least: …, most: …}}' in its "
+            f"mechanism.yaml, and as many cables as freedoms, or up to {_MOST} more"
+        )
+    low = cables.least if least is None else max(least, cables.least)
+    A = np.concatenate(lines, axis=1).transpose(0, 2, 1)  # A t + weight = 0
+    w, best, times = weight(mechanism, matrices), np.zeros((len(A), count)), np.zeros(len(A))
+    sums, slack = np.full(len(A), np.inf), ROUNDING * max(low, 1.0)
+    for at_limits in map(list, combinations(range(count), surplus)):
+        others = [i for i in range(count) if i not in at_limits]
+        ends = np.array(list(product((low, cables.most), repeat=surplus))).T  # (r, 2^r)
+        right = -w[:, :, None] - A[:, :, at_limits] @ ends
+        corner = np.empty((len(A), ends.shape[1], count))
+        corner[:, :, at_limits] = ends.T
+        inner = A[:, :, others]  # singular where cables at no limit are dependent
+        solvable = (np.abs(np.linalg.det(inner)) > ROUNDING)[:, None, None]
+        solution = np.linalg.solve(np.where(solvable, inner, np.eye(len(others))), right)
+        corner[:, :, others] = np.where(solvable, solution, np.nan).transpose(0, 2, 1)
+        holds = ((corner >= low - slack) & (corner <= cables.most + slack)).all(axis=2)
+        total = np.where(holds, corner.sum(axis=2), np.inf)
+        lower = total.min(axis=1) < (1.0 - EXACT) * sums
+        best[lower], times[lower] = 0.0, 0.0
+        sums = np.minimum(sums, total.min(axis=1))
+        equal = holds & (total <= (1.0 + EXACT) * sums[:, None])
+        best += np.where(equal[:, :, None], corner, 0.0).sum(axis=1)
+        times += equal.sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        return best / times[:, None]
+
+
+def can_hold(
+    mechanism: Mechanism, matrices: Array, lines: list[Array], least: float | None = None
+) -> Mask:
+    """Return where tensions within limits hold the platform, (N,): see ``least_tensions``.
+
+    Those nearest to a middle tension are tried first, which is enough nearly everywhere.
+    """
+    A = np.concatenate(lines, axis=1).transpose(0, 2, 1)
+    limits = mechanism.cables or Cables()
+    low = max(least or 0.0, limits.least)
+    middle = np.sqrt(max(low, 1.0) * min(limits.most, 1e6))
+    change = np.linalg.pinv(A) @ (weight(mechanism, matrices) + A.sum(axis=2) * middle)[..., None]
+    tried = middle - change[:, :, 0]
+    holds: Mask = ((tried >= low) & (tried <= limits.most)).all(axis=1)
+    rows = np.flatnonzero(~holds)
+    few = [lines_of_leg[rows] for lines_of_leg in lines]
+    holds[rows] = np.isfinite(least_tensions(mechanism, matrices[rows], few, least)).all(axis=1)
+    return holds

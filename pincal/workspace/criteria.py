@@ -21,13 +21,13 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import beyond_limits
 from pincal.kinematics.derivatives import nearest_closure
 from pincal.kinematics.singularity import (
+    can_hold,
     drive_margins,
     home_determinant,
     margins,
     platform_margin,
     rods_margin,
 )
-from pincal.kinematics.tensions import can_hold
 from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.consistency import home_gap
 from pincal.model.mechanism import Mechanism

@@ -261,38 +261,6 @@ def sample_workspace(
     )
 
 
-def grid_poses(mechanism: GivenMechanism, count: int) -> Array:
-    """Return poses on a grid over the workspace, coordinates of shape (N, dof).
-
-    Args:
-        mechanism: The mechanism.
-        count: About how many poses a grid over the box around the workspace has; those that do not
-            count are left out.
-
-    Raises:
-        WorkspaceError: more than three coordinates, or poses that are made from readings.
-    """
-    from matplotlib.ticker import MaxNLocator  # round numbers; slow to import
-
-    mechanism = as_mechanism(mechanism)
-    if not has_grid(mechanism):
-        raise WorkspaceError(
-            f"a grid over all coordinates of {mechanism.name!r} ("
-            f"{', '.join(mechanism.platform.coordinates)}) would be too coarse; give the poses"
-        )
-    samples = sample_workspace(mechanism, _PILOT)
-    across = max(round(count ** (1.0 / mechanism.platform.dof)), 1)
-    ends = zip(samples.min(axis=0), samples.max(axis=0), strict=True)
-    axes = [MaxNLocator(across).tick_values(low, high) for low, high in ends]
-    poses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    return poses[in_workspace(mechanism, poses)]
-
-
-def has_grid(mechanism: Mechanism) -> bool:
-    """Return whether a grid of poses makes sense: three coordinates at most, all of them free."""
-    return mechanism.platform.dof <= 3 and not mechanism.by_readings
-
-
 def _batch(mechanism: Mechanism) -> int:
     """Return how many poses are drawn together: fewer where legs are closed by a search."""
     return _BATCH if all(map(closed_form, nominal_legs(mechanism))) else _PART

@@ -18,7 +18,7 @@ import numpy as np
 
 from pincal.design.simulate import platform_errors
 from pincal.errors import MechanismError
-from pincal.kinematics.tensions import tensions
+from pincal.kinematics.singularity import tensions
 from pincal.show.style import DARK, IDENTIFIED, PAPER
 from pincal.show.view.bodies import GREY, Body
 from pincal.show.view.scene import Layer, Scene, moved
