@@ -21,7 +21,7 @@ DONE_BY = {
     "CalibrationResult.report": "pincal.show.report.report",
     "CalibrationResult.save": "pincal.calibration.result_files.save_result",
     "CalibrationResult.tables": "pincal.show.tables.calibration_tables",
-    "CalibrationResult.validated": "pincal.calibration.calibrate.with_validation",
+    "CalibrationResult.validated": "pincal.calibration.validation.with_validation",
     "Explanation.__str__": "pincal.show.explanation.explanation_page",
     "Forecast.__str__": "pincal.show.tables.forecast_text",
     "Measurements.from_csv": "pincal.files.measurements.read_measurements",

@@ -15,8 +15,8 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 624,
-    "calibration": 7_141,
-    "cli": 2_986,
+    "calibration": 6_822,
+    "cli": 2_962,
     "design": 2_330,
     "estimation": 5_028,
     "files": 3_444,
@@ -31,7 +31,7 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 186,
+    "files": 185,
     "page lines": 932,
     "largest folder": 16,
     "vague names": 0.01,

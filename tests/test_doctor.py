@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal import Options
+from pincal.calibration.calibrate import remedies
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.hypotheses.doctor import remedies
 from pincal.files.table import read_table
 
 Array = NDArray[np.float64]

@@ -44,38 +44,31 @@ _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less le
 def assemble(fits: Fits) -> CalibrationResult:
     """Return the result of all legs from one fit of all, or one fit each."""
     calibration, gauge, dof = fits.calibration, fits.gauge, fits.degrees_of_freedom
-    mechanism, parameters = calibration.mechanism, fits.parameters
+    mechanism = calibration.mechanism
     freedoms, of_chi2 = noise_freedoms(fits)
-    chi2 = sum(fit.chi2 for fit in fits.fits) / dof if dof > 0 else np.nan
+    chi2 = fits.chi2 / dof if dof > 0 else np.nan
     chi2_dof = chi2_freedoms(fits.fits)
     p_value = exceeded(chi2, chi2_dof, of_chi2) if calibration.noise.known else 1.0
     by_noise = excess_of(chi2, p_value) ** 2 * covariance_by_noise(fits)
     by_systematic = systematic(fits)
-    held = np.zeros((len(by_noise), 0)) if fits.held is None else fits.held.directions
-    n = len(parameters)
+    held = fits.held.directions if fits.held else np.zeros((len(by_noise), 0))
+    n = len(mechanism.parameters)
     systematic_part = by_systematic[:n] @ by_systematic[:n].T
-    identified = tuple(
-        _identified(parameter, value, error, half, _beforehand(calibration, parameter, error))
-        for parameter, value, error, half in zip(
-            mechanism.parameters,
-            parameters,
-            _standard_errors(by_noise[:n, :n], by_systematic[:n], held[:n]),
-            quantiles(freedoms[:n]),
-            strict=True,
-        )
-    )
+    std = _standard_errors(by_noise[:n, :n], by_systematic[:n], held[:n])
+    if len(outside := calibration.observation.external):
+        D, least = outside.coordinates_by_step(fits.external), freedoms.min(initial=np.inf)
+        parts = D @ by_noise[n:, n:] @ D.T, D @ by_systematic[n:], D @ held[n:]
+        std = np.append(std, _standard_errors(*parts))
+        freedoms = np.append(freedoms[:n], np.full(len(D), least))
+    identified = _identified(fits, std, quantiles(freedoms) * std)
+    legs, observed = _residuals(fits, identified[:n])
     least = float(freedoms.min(initial=np.inf))
-    external = _external(fits, by_noise[n:, n:], by_systematic[n:], held[n:], least)
-    legs, observed = _residuals(fits, identified)
-    free, directions, motions = (
-        ((), None, None) if gauge is None else (gauge.found, gauge.of_legs, gauge.frames)
-    )
     poses = mechanism.platform.from_matrices(fits.fits[0].last.state.matrices)
     return CalibrationResult(
         calibration=calibration,
         legs=legs,
         observed=observed,
-        external=external,
+        external=identified[n:],
         covariance=by_noise[:n, :n] + systematic_part,
         systematic=systematic_part if by_systematic.size else None,
         noise=_noise(calibration, chi2),
@@ -90,11 +83,11 @@ def assemble(fits: Fits) -> CalibrationResult:
         converged=fits.converged,
         outliers=_merged_outliers(fits.fits),
         misses=_misses(fits),
-        gauge=free,
-        gauge_directions=directions,
-        frames_moved=motions,
+        gauge=gauge.found if gauge else (),
+        gauge_directions=gauge.of_legs if gauge else None,
+        frames_moved=gauge.frames if gauge else None,
         undetermined_directions=held[:n] if held.shape[1] else None,
-        outside=fits.external if len(calibration.observation.external) else None,
+        outside=fits.external if len(outside) else None,
         estimated_poses=poses if fits.latent else None,
     )
 
@@ -170,11 +163,7 @@ def _misses(fits: Fits) -> tuple[float, float]:
 
 
 def systematic(fits: Fits) -> Array:
-    """Return how all parameters, then frames, follow what is off in all rows, shape (n, q).
-
-    Columns are for one standard uncertainty each (see ``Observation.systematic``); none where
-    nothing is uncertain so.
-    """
+    """Return how parameters, then frames, follow one standard uncertainty of all rows, (n, q)."""
     calibration = fits.calibration
     observation, n = calibration.observation, len(calibration.mechanism.parameters)
     if calibration.options.setup.systematic == Systematic():
@@ -187,10 +176,7 @@ def systematic(fits: Fits) -> Array:
 
 
 def covariance_by_noise(fits: Fits) -> Array:
-    """Return the covariance of all legs' parameters, then of the external unknowns' steps, (n, n).
-
-    Legs identified alone at the same poses follow the noise of these, K, together: Σ K Kᵀ.
-    """
+    """Return the covariance of all legs' parameters, then of external unknowns' steps, (n, n)."""
     if fits.latent:
         return fits.fits[0].covariance
     mechanism, count = fits.calibration.mechanism, len(fits.calibration.measurements)
@@ -208,10 +194,9 @@ def covariance_by_noise(fits: Fits) -> Array:
 def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
     """Return fits with what uncertain tolerances add to their covariances.
 
-    By how far the estimate follows the logarithm of each, to first order: ∂φ/∂ log τ² =
-    C (φ − φ₀) / τ² of the parameters of that unit (R. E. Kass and D. Steffey 1989). What the
-    measurements determine of k of them is worth k − tr C / τ² (D. J. C. MacKay 1992), and log τ²
-    is known as if so many were seen.
+    To first order, ∂φ/∂ log τ² = C (φ − φ₀) / τ² of the parameters of that unit (R. E. Kass and
+    D. Steffey 1989); log τ² is known as by the k − tr C / τ² of k of them that the measurements
+    determine (D. J. C. MacKay 1992).
     """
     mechanism, fits = fits_of_all.calibration.mechanism, []
     units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
@@ -276,59 +261,37 @@ def _standard_errors(covariance: Array, by_systematic: Array, held: Array) -> Ar
 def _noise(calibration: Calibration, chi2: float) -> Noise | None:
     """Return the noise of all rows; estimated noise to its last digit by χ²."""
     model = calibration.noise
-    if model.source == "rows":
-        return None
-    if model.known:
-        return model.noise
-    scale = float(np.sqrt(chi2)) if np.isfinite(chi2) else 1.0
-    return Noise(*(scale * value for value in vars(model.noise).values()))
+    if model.source == "rows" or model.known or not np.isfinite(chi2):
+        return None if model.source == "rows" else model.noise
+    return Noise(*(float(np.sqrt(chi2)) * value for value in vars(model.noise).values()))
 
 
-def _identified(
-    parameter: Parameter, value: float, std: float, quantile: float, beforehand: str
-) -> IdentifiedParameter:
-    """Return a parameter with its 95 % interval, half of which is so many standard errors."""
-    low, high = float(value - quantile * std), float(value + quantile * std)
-    fields: dict[str, Any] = {**vars(parameter), "low": low, "high": high, "given": beforehand}
-    return IdentifiedParameter(**fields, identified=float(value), std=float(std))
-
-
-def _beforehand(calibration: Calibration, parameter: Parameter, std: float) -> str:
-    """Return what was given of a parameter beforehand, or that it was held nearest to nominal."""
-    options = calibration.options
-    names_by_kind = {"fixed": options.fixed, "tied": options.tied, "prior": calibration.priors}
-    kinds = [
-        kind
-        for kind, names in names_by_kind.items()
-        if any(means(name, parameter.owner, parameter.name) for name in names)
-    ]
-    kinds += [] if np.isfinite(std) else [HELD]
-    return "fixed" if "fixed" in kinds else ", ".join(kinds)
-
-
-def _external(
-    fits: Fits, covariance: Array, by_systematic: Array, held: Array, freedoms: float
-) -> tuple[IdentifiedParameter, ...]:
-    """Return frame and targets by the covariance of their steps, (n, n), and where these began."""
-    outside, values = fits.calibration.observation.external, fits.external
-    if not len(outside):
-        return ()
-    began = fits.fits[0].first.state.external
+def _identified(fits: Fits, std: Array, half: Array) -> tuple[IdentifiedParameter, ...]:
+    """Return parameters of the legs, then of frames and targets, with half intervals, (n,)."""
+    calibration, options = fits.calibration, fits.calibration.options
+    outside, began = calibration.observation.external, fits.fits[0].first.state.external
     # of instruments, what their makers say, unless these find where a search begins
     if not all(hasattr(device, "begin") for device in outside.setup.instruments):
         began = replace(began, instruments=outside.start.instruments)
-    start, estimates = (outside.coordinates(external) for external in (began, values))
-    D = outside.coordinates_by_step(values)
-    std = _standard_errors(D @ covariance @ D.T, D @ by_systematic, D @ held)
-    quantile = float(quantiles(np.array(freedoms)))
+    parameters, values = list(calibration.mechanism.parameters), fits.parameters.tolist()
+    priors = options.priors_by_name(calibration.mechanism)
+    names_by_kind = {"fixed": options.fixed, "tied": options.tied, "prior": priors}
+    if len(outside):
+        start, estimates = (outside.coordinates(each) for each in (began, fits.external))
+        for id_, unit, nominal in zip(outside.names, outside.units, start.tolist(), strict=True):
+            owner, _, name = id_.partition(".")
+            parameters.append(Parameter(owner, name, unit, nominal))
+        values += estimates.tolist()
     identified = []
-    for place, id_ in enumerate(outside.names):
-        owner, _, name = id_.partition(".")
-        parameter = Parameter(owner, name, outside.units[place], float(start[place]))
-        beforehand = "" if np.isfinite(std[place]) else HELD
-        identified.append(
-            _identified(parameter, estimates[place], std[place], quantile, beforehand)
-        )
+    for p, value, error, off in zip(parameters, values, std.tolist(), half.tolist(), strict=True):
+        given = [] if np.isfinite(error) else [HELD]
+        if p.owner in calibration.mechanism.leg_names:
+            for kind, names in reversed(names_by_kind.items()):
+                given[:0] = [kind] * any(means(name, p.owner, p.name) for name in names)
+        fields: dict[str, Any] = {**vars(p), "identified": value, "std": error}
+        fields |= {"low": value - off, "high": value + off}
+        beforehand = "fixed" if "fixed" in given else ", ".join(given)
+        identified.append(IdentifiedParameter(**fields, given=beforehand))
     return tuple(identified)
 
 

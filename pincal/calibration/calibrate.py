@@ -1,11 +1,16 @@
 """The pipeline of a calibration: read, check, start, fit, verify, decide what to say of it.
 
 ``calibrate``, ``explain``, the command and the doctor go this way; ``run`` has its steps in order.
+The doctor puts faults right one by one, until calibration works: of measurements as they are; with
+what explains the misfit put right; without rows that do not fit; the same in an unknown frame, of
+an unknown target too; of a machine known roughly.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +28,7 @@ from pincal.calibration.findings import (
     values_of,
 )
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance, without_false_points
-from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
+from pincal.calibration.hypotheses.faults import with_zeros
 from pincal.calibration.hypotheses.photos import check_photos, pitch_faults
 from pincal.calibration.hypotheses.plausibility import (
     check_contacts,
@@ -31,15 +36,16 @@ from pincal.calibration.hypotheses.plausibility import (
     check_distances,
     check_noise,
     explain_misfit,
+    hypotheses_of,
     implausible,
 )
-from pincal.calibration.options import AUTO, FOLDS, By, Options
+from pincal.calibration.options import AUTO, By, Options
 from pincal.calibration.result import CONTRADICTING, CalibrationResult
 from pincal.calibration.terms.candidates import extended
 from pincal.calibration.terms.choice import Explanation, choose
 from pincal.calibration.terms.kinds import columns_of_terms, every_pair, parse_terms
-from pincal.calibration.validation import held_out
-from pincal.errors import MisfitError, ObservabilityError, PincalError
+from pincal.calibration.validation import with_validation
+from pincal.errors import MeasurementError, MisfitError, ObservabilityError, PincalError
 from pincal.estimation.components import tie_of
 from pincal.estimation.fit import Outlier
 from pincal.estimation.system import FALSE_ALARM
@@ -49,7 +55,6 @@ from pincal.files.mechanism_folders import as_mechanism
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.types import Array
 from pincal.words.findings import finding, sentences
 
 
@@ -85,16 +90,8 @@ def explain(
 ) -> Explanation:
     """Return what a calibration's residuals follow, and which terms pay.
 
-    Args:
-        mechanism: The nominal mechanism; or its name or folder.
-        measurements: What was measured; or a CSV file or a DataFrame of it, whose other columns
-            of numbers (temperature, time, …) are tried too.
-        options: How to calibrate; ``terms`` are the kinds to try, all if none are given.
-        **single_options: Single options by name, such as ``folds=``: see ``Options``.
-
-    Raises:
-        MeasurementError: measurements that cannot be this mechanism's, or an unknown kind of term.
-        ObservabilityError: too few poses, or poses that leave parameters undetermined.
+    Arguments and errors are those of ``calibrate``. Other columns of numbers (temperature, time, …)
+    are tried too; ``terms`` are the kinds to try, all if none are given.
     """
     asked = Options.of(options, **single_options)
     return explained(prepared(mechanism, measurements, asked, terms=asked.terms or (AUTO,)))
@@ -127,13 +124,8 @@ def run(
 ) -> tuple[CalibrationResult, Fits, list[str]]:
     """Return the result of a calibration, its fits, and why no rows were held out if some were to.
 
-    Args:
-        asked: The calibration as it was read.
-        folds: How many times a share of the rows is held out, 0 or None for not at all.
-        by: What is held out together: see ``CalibrationResult.validated``.
-
-    Raises:
-        PincalError: those of ``calibrate``.
+    Folds and ``by`` are those of ``CalibrationResult.validated``, 0 or None for none; errors those
+    of ``calibrate``.
     """
     calibration = started(asked)
     try:
@@ -164,6 +156,7 @@ def run(
         return result, fits, [f"no held-out validation: {error}"]
 
 
+_FEW = 0.25  # of the rows: more that do not fit are no outliers
 #: Findings that follow from wrong rows.
 _FOLLOW = CONTRADICTING - {"terms-chosen"} | {"bad-rows", "outliers"}
 
@@ -173,9 +166,8 @@ def blame_wrong_rows(
 ) -> tuple[tuple[Finding, ...], tuple[Outlier, ...]]:
     """Return findings and outliers that name the few rows that alone spoil a result, if any do.
 
-    They do if χ² without them is as it should be. Parameters, residuals and standard errors stay
-    those of all rows: the user says what is left out. What only follows from these rows is no
-    longer said, what is found without them is.
+    They do if χ² without them is as it should be. Numbers stay those of all rows: the user says
+    what is left out. What only follows from these rows is no longer said.
     """
     try:
         fits = fitted(result.calibration.with_options(loss="reject"))
@@ -210,7 +202,10 @@ def started(calibration: Calibration) -> Calibration:
     if options.loss != "none" and options.setup.pixels:
         calibration = without_false_points(calibration)
     if options.setup.plain:
-        calibration = replace(calibration, start=_start(calibration))
+        faults = () if options.rough else implausible(calibration)
+        calibration = replace(calibration, start=with_zeros(calibration, faults))
+        if faults and calibration.start is None:
+            raise MisfitError(sentences(faults)[0])
     return with_found_tolerance(calibration)
 
 
@@ -237,17 +232,6 @@ def _with_terms(calibration: Calibration) -> Calibration:
         return plain
     models, chosen, *_ = choose(started(plain), every_pair(mechanism, plain.measurements))
     return extended(plain, models[chosen].added)
-
-
-def _start(calibration: Calibration) -> Array | None:
-    """Return where the search starts if motors' zeros are far from the drawing's."""
-    if calibration.options.rough:
-        return zeros_measured(calibration)
-    faults = implausible(calibration)
-    start = zeros_found(calibration, faults)
-    if faults and start is None:
-        raise MisfitError(sentences(faults)[0])
-    return start
 
 
 def explained_error(calibration: Calibration, error: Exception) -> Exception:
@@ -278,13 +262,92 @@ def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding,
     return misaligned(result.nominal, changes, result.poses, result.measurements.readings)
 
 
-def with_validation(
-    result: CalibrationResult, folds: int = FOLDS, by: By = "region", fits: Fits | None = None
-) -> CalibrationResult:
-    """Return what ``CalibrationResult.validated`` does; by the fits of all rows if at hand."""
-    validation, wrong_rows = held_out(result.calibration, folds, by, fits)
-    codes = {remark.code for remark in result.findings}
-    news = tuple(remark for remark in validation.findings if remark.code not in codes)
-    outliers = sorted((*result.outliers, *wrong_rows), key=lambda outlier: -outlier.sigma)
-    findings = (*result.findings, *news)
-    return replace(result, validation=validation, findings=findings, outliers=tuple(outliers))
+@dataclass(frozen=True)
+class Remedy:
+    """What was put right, and what calibration then gives."""
+
+    findings: tuple[Finding, ...]
+    """What was wrong with the measurements, if this is what was."""
+    calibration: Calibration
+    """Measurements put right, and options that help."""
+    result: CalibrationResult | None
+    """None if calibration refused."""
+    trouble: str
+    """Why it was refused; empty if it was not."""
+    whatever_the_loss: bool = False
+    """Whether it was refused for what is so in most rows."""
+
+    @property
+    def works(self) -> bool:
+        """Whether the search converged, nothing contradicts it, and every row that counts fits."""
+        result = self.result
+        if result is None or not result.converged or not result.promises:
+            return False
+        return all(outlier.weight == 0.0 for outlier in result.outliers)
+
+    @property
+    def mends(self) -> bool:
+        """Whether the measurements themselves were put right: options do not do it."""
+        return any(remark.code != "unknown-frame" for remark in self.findings)
+
+
+def remedies(calibration: Calibration) -> Iterator[Remedy]:
+    """Yield what was tried, the simplest first, until something works; all that fit alike."""
+    for stage in _stages(calibration):
+        yield from stage
+        if any(remedy.works for remedy in stage):
+            return
+
+
+def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
+    setup = calibration.options.setup
+    framed, placed = setup.anywhere(frame=True), setup.anywhere(frame=True, target=True)
+    setups = [setup] + [framed] * (framed != setup) + [placed] * (placed != framed)
+    for known in setups:  # the less is known of frame and target
+        in_setup = calibration.with_options(setup=known)
+        first = _attempt((), in_setup)
+        yield [first]
+        explained = []
+        for fault, judged in hypotheses_of(in_setup):
+            data = judged.hypothesis.right(calibration.measurements)
+            judged_setup = known.anywhere(frame=judged.free)
+            mended = replace(in_setup, measurements=data).with_options(setup=judged_setup)
+            explained.append(_attempt((fault,), mended))
+        yield explained
+        if not explained and any(in_setup.short_legs()):
+            return  # nothing else is wrong
+        yield _rejecting([first, *explained])
+    if not calibration.options.rough:
+        rough = _attempt((), calibration.with_options(rough=True))
+        yield [rough]
+        yield _rejecting([rough])
+
+
+def _rejecting(remedies: Sequence[Remedy]) -> list[Remedy]:
+    """Return what remedies give without rows that do not fit, where these are few."""
+    few = []
+    for remedy in remedies:
+        lost = remedy.result is not None and not remedy.result.converged
+        if remedy.whatever_the_loss or lost or remedy.calibration.options.loss != "none":
+            continue
+        fewer = _attempt(remedy.findings, remedy.calibration.with_options(loss="reject"))
+        if fewer.result is not None:
+            left_out = sum(outlier.weight == 0.0 for outlier in fewer.result.outliers)
+            few += [fewer] * (left_out <= _FEW * len(fewer.result.measurements))
+    return few
+
+
+@one_thread()
+def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
+    try:
+        result, *_ = run(calibration)
+    except PincalError as error:
+        return Remedy(findings, calibration, None, str(error), isinstance(error, MeasurementError))
+    try:
+        check_noise(calibration.mechanism, result.noise)  # an estimate may be what went wrong
+    except MeasurementError:
+        return Remedy(findings, calibration, None, "residuals are too large for noise")
+    remedy = Remedy(findings, calibration, result, "")
+    with suppress(PincalError, ArithmeticError):
+        return replace(remedy, result=result.validated()) if remedy.works else remedy
+    return remedy

@@ -111,18 +111,13 @@ class Calibration:
             external.names,
             fixed=self.options.fixed,
             tied=self.options.tied,
-            priors=self.priors,
+            priors=self.options.priors_by_name(self.mechanism),
         )
         start, n = free.start.copy(), len(free.start) - len(external)
         start[:n] = start[:n] if self.start is None else self.start
         nominal = np.append(free.nominal[:n], external.coordinates(external.start))
         priors = np.append(free.priors[:n], external.priors)
         return replace(free, start=start, nominal=nominal, priors=priors)
-
-    @property
-    def priors(self) -> dict[str, float]:
-        """Standard deviations of nominal values: see ``Options.priors_by_name``."""
-        return self.options.priors_by_name(self.mechanism)
 
     @cached_property
     def observation(self) -> Observation:
@@ -168,10 +163,9 @@ class Calibration:
         used: Mask | None = None,
         pose_roots: Array | None = None,
     ) -> LegBlock:
-        """Return the residual block of some legs at some rows of the measurements.
+        """Return the residual block of some legs at some rows, used by legs (N, n_legs), or all.
 
-        Used says which row serves which leg, (N, n_legs), all if None; roots of the poses'
-        covariance that these are taken as measured.
+        Roots of the poses' covariance say that these are taken as measured.
         """
         mechanism = self.mechanism
         every = np.arange(len(mechanism.reading_names))
@@ -201,12 +195,25 @@ class Calibration:
 
     @cached_property
     def latent_problem(self) -> Problem:
-        """The problem of all legs with unknown poses, without a start."""
+        """The problem of all legs with unknown poses, without a start; rows fix their poses."""
         every = np.arange(len(self.measurements))
         noise = self.observation.row_noise(self.measurements, self.noise.noise)
         leg_block = self.leg_block(range(len(self.mechanism.legs)), every, self.used)
         problem = Problem(leg_block, self.observation.with_noise(noise))
-        _check_equations(problem)
+        dof = problem.platform.dof
+        if (problem.equations < 0).any():
+            row = int(np.argmax(problem.equations < 0))
+            raise MeasurementError(
+                f"data row {row + 1} has {problem.equations[row] + dof} measured quantities, which "
+                f"do not fix the {dof} freedoms of the platform; measure more, or leave the row out"
+            )
+        noisy = [(leg_block.sigma[:, part] > 0.0).any(axis=1) for part in leg_block.reading_columns]
+        exact = leg_block.used & ~np.stack(noisy, axis=1)
+        if (exact @ np.array(leg_block.widths) > dof).any():
+            raise MeasurementError(
+                f"{len(problem.legs)} exact readings contradict each other in {dof} freedoms of "
+                "the platform; give the readings a standard deviation (--noise-reading)"
+            )
         return problem
 
     def started(self, problem: Problem) -> Problem:
@@ -243,20 +250,6 @@ class Calibration:
         matrices[:, :3, 3] = (measured - external.frame[:3, 3]) @ F - arm
         return platform.from_matrices(matrices)
 
-    def check_complete(self) -> None:
-        """Raise if a pose or reading is not complete, so that poses cannot be as measured."""
-        data, mechanism = self.measurements, self.mechanism
-        for values, columns in (
-            (data.poses, mechanism.platform.coordinates),
-            (data.readings, mechanism.reading_names),
-        ):
-            if not (measured := np.isfinite(values)).all():
-                row, column = (int(i) for i in np.argwhere(~measured)[0])
-                raise MeasurementError(
-                    f"data row {row + 1}: {columns[column]!r} is not measured; rows in which "
-                    "something is missing need all legs at once: leave out --method per-leg"
-                )
-
     def short_legs(self) -> Iterator[tuple[str, int, int, int]]:
         """Yield legs that have too few poses: name, poses, unknowns, and how many are needed."""
         free, served = self.unknowns, self.used[self.counts].sum(axis=0)
@@ -269,7 +262,15 @@ class Calibration:
                 yield leg.name, count, n, least
 
     def check_counts(self) -> None:
-        """Raise if there are too few poses for a leg."""
+        """Raise if there are too few poses for a leg, or one as measured is not complete."""
+        data, mechanism = self.measurements, self.mechanism
+        columns = (*mechanism.platform.coordinates, *mechanism.reading_names)
+        gaps = np.argwhere(np.isnan(np.column_stack([data.poses, data.readings])))
+        if not self.options.latent and len(gaps):
+            raise MeasurementError(
+                f"data row {gaps[0, 0] + 1}: {columns[gaps[0, 1]]!r} is not measured; rows in "
+                "which something is missing need all legs at once: leave out --method per-leg"
+            )
         for name, count, n, least in self.short_legs():
             added = " and the scale of the noise" * (not (self.noise.known or self.options.latent))
             remedy = ". --poses all uses every pose for every leg" * (not self.options.every_pose)
@@ -286,10 +287,7 @@ class Calibration:
 
 
 def with_followed_influences(calibration: Calibration) -> Calibration:
-    """Return a calibration whose measurements hold all columns on which terms depend.
-
-    Sides of approach and loads follow from all rows in their order, which parts do not know.
-    """
+    """Return a calibration whose measurements hold all columns on which terms depend."""
     mechanism, data = calibration.mechanism, calibration.measurements
     if not set(mechanism.influences) - set(data.influences):
         return calibration
@@ -300,32 +298,9 @@ def with_followed_influences(calibration: Calibration) -> Calibration:
 
 
 def located(calibration: Calibration) -> Measurements:
-    """Return measurements with complete poses in the base frame, by the machine as drawn.
-
-    Those that were measured in full there, or as a search starts from them.
-    """
+    """Return measurements with complete poses in the base frame, by the machine as drawn."""
     drawing, data = calibration.mechanism.drawing, calibration.measurements
     options = Options(noise=calibration.options.noise, setup=calibration.options.setup)
     drawn = Calibration(drawing, data, options, known_noise=calibration.known_noise)
     state = align_start(drawing, drawn.latent_problem, data, drawing.parameters.values)
     return replace(data, poses=drawing.platform.from_matrices(state.matrices))
-
-
-def _check_equations(problem: Problem) -> None:
-    """Raise if a row does not fix its pose, or exact readings contradict each other."""
-    dof = problem.platform.dof
-    short = problem.equations < 0
-    if short.any():
-        row = int(np.argmax(short))
-        raise MeasurementError(
-            f"data row {row + 1} has {problem.equations[row] + dof} measured quantities, which do "
-            f"not fix the {dof} freedoms of the platform; measure more, or leave the row out"
-        )
-    legs = problem.leg_block
-    noisy = [(legs.sigma[:, columns] > 0.0).any(axis=1) for columns in legs.reading_columns]
-    exact = legs.used & ~np.stack(noisy, axis=1)
-    if (exact @ np.array(legs.widths) > dof).any():
-        raise MeasurementError(
-            f"{len(problem.legs)} exact readings contradict each other in {dof} freedoms of the "
-            "platform; give the readings a standard deviation (--noise-reading)"
-        )

@@ -41,22 +41,42 @@ _ROWS_MOVED = 200  # enough, where the motion of a body is looked for
 
 def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     """Return what to know first of a result, by it and by the residuals of its fits."""
-    held, lacks, curved = fits.held, list[Finding](), list[Finding]()
-    first = [finding("tolerance-found", **vars(size)) for size in result.calibration.tolerances]
-    first = [*_zeros(result), *first]
+    held, lacks, curved, rows = fits.held, list[Finding](), list[Finding](), list[Finding]()
+    first, noise, far = list[Finding](), _noise(result), _far(result)
     if held is not None and (held.groups or held.weak):
-        first.insert(0, finding("undetermined-held", groups=held.groups, weak=held.weak))
-    noise, far = _noise(result), _far(result)
+        first.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
+    first += [*_zeros(result)]
+    first += [finding("tolerance-found", **vars(size)) for size in result.calibration.tolerances]
+    few = _few(result)
     if rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
-        return (*first, *noise, *far, *_few(result))
+        return (*first, *noise, *far, *few)
     if result.converged:
         noise = noise or _proportion(fits)
         lacks = lacking(fits)
         bend = max((curvature(fit) for fit in fits.fits), default=0.0)
         curved = [finding("curved", curvature=bend)] if bend > _CURVED else []
-    rows = _rows(result, lacking=bool(lacks))
-    return (*first, *noise, *lacks, *far, *curved, *rows, *_few(result))
+    outliers, total = result.outliers, len(result.measurements)
+    wrong = [outlier.row for outlier in outliers]
+    if len(wrong) > MANY_ROWS * total:
+        rows = [finding("many-outliers", wrong, share=len(wrong) / total)]
+    elif wrong and result.loss == "none":
+        values = values_of(outliers[0])
+        rows = [finding("outliers", wrong, total=total, lacking=bool(lacks), **values)]
+    return (*first, *noise, *lacks, *far, *curved, *rows, *few)
+
+
+def _few(result: CalibrationResult) -> list[Finding]:
+    """Return which legs have few poses for their parameters, legs alike together."""
+    few: dict[tuple[int, int], list[str]] = {}
+    for leg in result.legs:
+        if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters):
+            poses = len(np.unique(leg.rows))
+            few.setdefault((poses, len(leg.parameters)), []).append(leg.name)
+    return [
+        finding("few-poses", legs=tuple(legs), poses=poses, unknowns=unknowns)
+        for (poses, unknowns), legs in few.items()
+    ]
 
 
 def points_left_out(measured: Measurements, used: Measurements) -> tuple[Finding, ...]:
@@ -89,20 +109,15 @@ def _of_legs(result: CalibrationResult) -> list[IdentifiedParameter]:
 
 def _noise(result: CalibrationResult) -> list[Finding]:
     dof, chi2, noise = result.degrees_of_freedom, result.reduced_chi2, result.noise
-    if result.noise_source == "estimated":
+    if noise and result.noise_source == "estimated":
         columns = result.calibration.observation
         pairs = zip(columns.units, columns.measured.T, strict=True)
-        units = {unit for unit, measured in pairs if measured.any()}
-        return [
-            finding(
-                "noise-estimated",
-                position=noise.position if noise and "m" in units else None,
-                orientation=noise.orientation if noise and "rad" in units else None,
-                reading=noise.reading if noise else 0.0,
-                pixel=noise.pixel if noise and "px" in units else None,
-                units=sorted(set(result.nominal.reading_units)),
-            )
-        ]
+        measured = {unit for unit, rows in pairs if rows.any()}
+        kinds = (("position", "m"), ("orientation", "rad"), ("pixel", "px"))
+        values: dict[str, Any]
+        values = {k: getattr(noise, k) if unit in measured else None for k, unit in kinds}
+        units = sorted(set(result.nominal.reading_units))
+        return [finding("noise-estimated", **values, reading=noise.reading, units=units)]
     if not dof or UNEXPLAINED <= result.chi2_p_value <= 1.0 - UNEXPLAINED:
         return []
     code = "chi2-too-large" if chi2 > 1.0 else "chi2-too-small"
@@ -192,41 +207,24 @@ def _far(result: CalibrationResult) -> list[Finding]:
     options = result.options
     parameters = _of_legs(result)
     plausible = plausible_changes(result.nominal)
+    values: dict[str, Any]
     std, half = (np.array(v) for v in zip(*((p.std, p.half) for p in parameters), strict=True))
     std = np.where(np.isfinite(std), std, 0.0)  # what was held no noise has moved
     std, half = std / result.excess, half / result.excess  # by poses and noise, not by misfit
     if (weak := np.flatnonzero(std > plausible)).size:
         worst = parameters[int(np.argmax(std / plausible))]
-        return [
-            finding(
-                "weakly-determined",
-                parameters=[parameters[i].id for i in weak],
-                parameter=worst.id,
-                half=worst.half,
-                unit=worst.unit,
-                held=options.holds,
-            )
-        ]
+        values = {"parameter": worst.id, "half": worst.half, "unit": worst.unit}
+        ids = [parameters[i].id for i in weak]
+        return [finding("weakly-determined", parameters=ids, held=options.holds, **values)]
     moved = np.array([p.change for p in parameters]) - result.calibration.shift
     surely = (np.abs(moved) - half) / plausible  # more than its uncertainty
     far = parameters[int(np.argmax(surely))]
     if surely.max() <= 1.0 or options.rough:
         return []
-    values: dict[str, Any] = {"parameter": far.id, "change": far.change, "unit": far.unit}
+    values = {"parameter": far.id, "change": far.change, "unit": far.unit}
     unused = ["unknown-frame"] * (not options.setup.unknown_frame)
     unused += ["unknown-target"] * (not options.setup.targets[ORIGIN].unknown)
     return [finding("far-from-nominal", parameters=[far.id], options=tuple(unused), **values)]
-
-
-def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
-    """Return which rows do not fit, and whether residuals follow something besides."""
-    outliers, total = result.outliers, len(result.measurements)
-    rows = [outlier.row for outlier in outliers]
-    if len(outliers) > MANY_ROWS * total:
-        return [finding("many-outliers", rows, share=len(outliers) / total)]
-    if not outliers or result.loss != "none":
-        return []
-    return [finding("outliers", rows, total=total, lacking=lacking, **values_of(outliers[0]))]
 
 
 def values_of(outlier: Outlier) -> dict[str, Any]:
@@ -234,39 +232,21 @@ def values_of(outlier: Outlier) -> dict[str, Any]:
     return {name: getattr(outlier, name) for name in ("sigma", "quantity", "off")}
 
 
-def _few(result: CalibrationResult) -> list[Finding]:
-    """Return which legs have few poses for their parameters, legs alike together."""
-    few: dict[tuple[int, int], list[str]] = {}
-    for leg in result.legs:
-        if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters):
-            poses = len(np.unique(leg.rows))
-            few.setdefault((poses, len(leg.parameters)), []).append(leg.name)
-    return [
-        finding("few-poses", legs=tuple(legs), poses=poses, unknowns=unknowns)
-        for (poses, unknowns), legs in few.items()
-    ]
-
-
 def misaligned(
     mechanism: Mechanism, changes: Array, poses: Array, readings: Array
 ) -> tuple[Finding, ...]:
     """Return a finding if parameters moved as one body, of fits in known frames, without ties.
 
-    The share of the changes' squares, over what is plausible, in the directions that move a frame
-    has the F distribution if all directions are alike.
-
-    Args:
-        mechanism: The nominal mechanism.
-        changes: Identified less nominal parameters of all legs, shape (n_params,).
-        poses: Measured or estimated, shape (N, dof), [m] and [rad].
-        readings: Measured, shape (N, n_readings), [rad] or [m].
+    The share of the squares of changes (identified less nominal, (n_params,)), over what is
+    plausible, in the directions that move a frame has the F distribution if all directions are
+    alike. Poses are (N, dof), readings (N, n_readings).
     """
     rows = np.linspace(0, len(poses) - 1, min(_ROWS_MOVED, len(poses))).astype(int)
     plan = Plan(poses[rows], readings=readings[rows] if mechanism.by_readings else None)
     if not all(np.isfinite(part).all() for part in (plan.poses, plan.readings) if part is not None):
         return ()
     legs = legs_at(mechanism, plan)
-    if not len(legs.gain) or not np.isfinite(legs.gain).all() or not changes.all():
+    if not (legs.gain.size and np.isfinite(legs.gain).all() and changes.all()):
         return ()  # out of reach, or parameters are held
     platform, scale = mechanism.platform, plausible_changes(mechanism)
     size, own, space = mechanism.size, changes / scale, platform.space
@@ -276,39 +256,23 @@ def misaligned(
     of_base, of_platform = np.split(
         motions.reshape(len(A), -1), [motions.shape[2] - platform.dof], axis=1
     )
-    for frame, of_frame in (("base", of_base), ("platform", of_platform)):
-        p_value, share, amounts = _as_one(A, of_frame, own)
+    for frame, b in (("base", of_base), ("platform", of_platform)):
+        D = np.linalg.lstsq(A, b, rcond=1e-9)[0]  # parameters that move so
+        k, free = D.shape[1], len(own) - D.shape[1]
+        misfit, sizes = np.linalg.norm(A @ D - b, axis=0), np.linalg.norm(b, axis=0)
+        if free <= 0 or (misfit > NEGLIGIBLE * sizes).any():
+            continue
+        Q, R = np.linalg.qr(D)
+        along, moved = Q.T @ own, A @ own
+        inside = along @ along
+        p_value = float(fdtrc(k, free, inside / k / ((own @ own - inside) / free)))
+        rest = moved - b @ np.linalg.lstsq(b, moved, rcond=None)[0]
+        share = float(1.0 - rest @ rest / (moved @ moved))
         if p_value > _CHANCE or share < _MATTERS:
             continue
-        shift, turn = (float(np.linalg.norm(part)) for part in np.split(amounts, [space]))
-        motion = finding(
-            "frame-misaligned",
-            frame=frame,
-            remedy=frame if "rad" in platform.units else "base",
-            share=share,
-            p_value=p_value,
-            shift=shift,
-            turn=turn if len(amounts) > space else None,
-        )
-        return (motion,)
+        amounts = np.linalg.lstsq(R, along, rcond=None)[0]
+        shift, turn = float(np.linalg.norm(amounts[:space])), float(np.linalg.norm(amounts[space:]))
+        values: dict[str, Any] = {"share": share, "p_value": p_value, "shift": shift}
+        values |= {"frame": frame, "remedy": frame if "rad" in platform.units else "base"}
+        return (finding("frame-misaligned", **values, turn=turn if amounts[space:].size else None),)
     return ()
-
-
-def _as_one(A: Array, b: Array, own: Array) -> tuple[float, float, Array]:
-    """Return the chance of changes (n,) as one body, its share of what they move, and its motion.
-
-    A, shape (m, n), is what parameters move, b, shape (m, k), what a frame does. The chance is 1 if
-    parameters cannot move so.
-    """
-    D = np.linalg.lstsq(A, b, rcond=1e-9)[0]
-    k, free = D.shape[1], len(own) - D.shape[1]
-    misfit, sizes = np.linalg.norm(A @ D - b, axis=0), np.linalg.norm(b, axis=0)
-    if free <= 0 or (misfit > NEGLIGIBLE * sizes).any():
-        return 1.0, 0.0, np.zeros(k)
-    Q, R = np.linalg.qr(D)
-    along, moved = Q.T @ own, A @ own
-    inside = along @ along
-    p_value = float(fdtrc(k, free, inside / k / ((own @ own - inside) / free)))
-    left = moved - b @ np.linalg.lstsq(b, moved, rcond=None)[0]
-    share = float(1.0 - left @ left / (moved @ moved))
-    return p_value, share, np.linalg.lstsq(R, along, rcond=None)[0]

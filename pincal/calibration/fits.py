@@ -35,7 +35,7 @@ from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.robust import robust_fit
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.system import LOSSES, System, loss_of, robust_scale, suspected
-from pincal.estimation.unknowns import External, State, Unknowns
+from pincal.estimation.unknowns import External, State
 from pincal.model.checks import ALIKE
 from pincal.model.leg import Leg
 from pincal.model.measurements import Noise
@@ -62,8 +62,7 @@ class Fits:
     held: HeldUnknowns | None = None
     """What the measurements cannot observe, if that was held."""
     variances: Array | None = None
-    """Covariance of the relative variances of positions, orientations and readings, if they were
-    estimated, shape (3, 3)."""
+    """Covariance of the relative variances of groups, if they were estimated, shape (3, 3)."""
 
     @property
     def latent(self) -> bool:
@@ -79,6 +78,11 @@ class Fits:
     def degrees_of_freedom(self) -> int:
         """Of all fits."""
         return sum(fit.degrees_of_freedom for fit in self.fits)
+
+    @property
+    def chi2(self) -> float:
+        """Of all fits."""
+        return sum(fit.chi2 for fit in self.fits)
 
     @property
     def converged(self) -> bool:
@@ -100,15 +104,6 @@ class Fits:
         """Standard deviation of readings, [m or rad]; an assumed one if they are exact."""
         assumed = assumed_noise(self.calibration.mechanism, exact=False).reading
         return self.noise.reading or assumed
-
-    def at_noise(self, noise: Noise) -> Fits:
-        """Return the fits at other noise: to first order they need no new search."""
-        calibration, fits = self.calibration.with_noise(noise), []
-        for fit in self.fits:
-            names = [leg.name for leg in fit.problem.legs]
-            measured = None if self.latent else calibration.measured_problem(names)[0]
-            fits.append(fit.at_noise_of(measured or calibration.latent_problem))
-        return replace(self, calibration=calibration, fits=fits)
 
     @property
     def moments(self) -> Moments:
@@ -136,10 +131,8 @@ class Fits:
 def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None = None) -> Fits:
     """Return the fits of a calibration, the noise estimated by group if it was not given.
 
-    Args:
-        calibration: What is to be identified.
-        near: Fits of all legs at once near which the optimum is, from which the search begins.
-        rows: Which of their rows these are, shape (N,), if they are of more rows, or fewer terms.
+    Near are fits of all legs at once near which the optimum is, from which the search begins; rows,
+    shape (N,), which of theirs these are, if they are of more rows, or fewer terms.
     """
     latent = calibration.options.latent
     fits = _all_legs(calibration, near, rows) if latent else _measured(calibration)
@@ -183,13 +176,21 @@ def _again(fits: Fits, noise: Noise) -> Fits:
 
 
 def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> Noise:
-    """Return the noise that the residuals of fits show, of which some is assumed to be alike."""
+    """Return the noise that the residuals of fits show, of which some is assumed to be alike.
+
+    In turn with the fits at that noise, to first order: they need no new search.
+    """
     for _ in range(ROUNDS):
         moments, noise, unit = fits.moments, fits.noise, fits.reading_unit
         estimate = estimated_noise(moments, noise, unit, assumed, exact=exact, tie=tie)
         if moments.rounding or _agree(noise, estimate):
             break
-        fits = fits.at_noise(estimate)
+        calibration, refits = fits.calibration.with_noise(estimate), []
+        for fit in fits.fits:
+            names = [leg.name for leg in fit.problem.legs]
+            measured = None if fits.latent else calibration.measured_problem(names)[0]
+            refits.append(fit.at_noise_of(measured or calibration.latent_problem))
+        fits = replace(fits, calibration=calibration, fits=refits)
     return fits.noise
 
 
@@ -273,8 +274,11 @@ def _fit_holding(
     begin = start if isinstance(start, Linear) else nominal
     while True:
         held = hold_unobservable(mechanism, system, nominal, held, least)
-        if isinstance(start, State):
-            begin = problem.evaluate(_within(held.unknowns, start))
+        if isinstance(start, State):  # with what is held at nominal
+            n = len(start.parameters)
+            T, values = held.unknowns.map[:n], held.unknowns.start[:n]
+            z = np.linalg.lstsq(T, start.parameters - values, rcond=None)[0]
+            begin = problem.evaluate(replace(start, parameters=values + T @ z))
         elif held_before and held.directions.shape[1] > held_before.directions.shape[1]:
             begin, near = nominal, False  # there what is held besides is held
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
@@ -290,18 +294,9 @@ def _fit_holding(
         least *= _HELD_MORE
 
 
-def _within(unknowns: Unknowns, state: State) -> State:
-    """Return a state with what is held of its parameters at nominal values."""
-    n = len(state.parameters)
-    T, nominal = unknowns.map[:n], unknowns.start[:n]
-    z = np.linalg.lstsq(T, state.parameters - nominal, rcond=None)[0]
-    return replace(state, parameters=nominal + T @ z)
-
-
 def _measured(calibration: Calibration) -> Fits:
     """Return the fits of each leg alone, at poses as measured; from nominal values."""
     mechanism, options = calibration.mechanism, calibration.options
-    calibration.check_complete()
     calibration.check_counts()
     unknowns, fits = calibration.unknowns, []
     tied = [leg.name for leg in mechanism.legs if set(options.tied) & set(leg.parameter_names)]
@@ -356,11 +351,7 @@ def without_false_points(calibration: Calibration) -> Calibration:
 
 
 def with_found_tolerance(calibration: Calibration) -> Calibration:
-    """Return a calibration with tolerances found by its measurements, if it asks for that.
-
-    Raises:
-        ObservabilityError: what leaves parameters undetermined, tolerances or not.
-    """
+    """Return a calibration with tolerances found by its measurements, if it asks for that."""
     if calibration.options.tolerance != AUTO:
         return calibration
     units = _tolerated(calibration)

@@ -26,11 +26,7 @@ FOLDS = 5
 
 
 def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
-    """Return the fold of each row, shape (N,); -1 of rows that are seen by every fit.
-
-    Raises:
-        MeasurementError: too few rows, or fewer than two folds or runs.
-    """
+    """Return the fold of each row, shape (N,); -1 of rows that are seen by every fit."""
     if data.verifying.any():
         return np.where(data.verifying, 0, -1)
     if by == "run":
@@ -54,8 +50,15 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
     for poses in groups.values():
         fold_of_pose = np.arange(len(poses)) % folds
         if by == "region":
-            firsts = [rows[0] for rows in poses.values()]
-            fold_of_pose = _regions(_scaled(data.readings[firsts]), min(folds, len(poses)))
+            readings = data.readings[[rows[0] for rows in poses.values()]]
+            measured = np.isfinite(readings)
+            low = np.min(readings, axis=0, where=measured, initial=np.inf)
+            high = np.max(readings, axis=0, where=measured, initial=-np.inf)
+            ranged = high > low  # by shares of the ranges, the middle where there is none
+            shares = readings - np.where(ranged, low, 0.0)
+            shares /= np.where(ranged, high - low, 1.0)
+            shares = np.where(measured & ranged, shares, 0.5)
+            fold_of_pose = _regions(shares, min(folds, len(poses)))
         for rows, fold in zip(poses.values(), fold_of_pose, strict=True):
             folds_of_rows[rows] = fold
     return folds_of_rows
@@ -66,16 +69,6 @@ def clusters(data: Measurements) -> list[str]:
     if data.places is None:
         return [row.tobytes().hex() for row in data.readings]
     return [place or str(row) for row, place in enumerate(data.places)]  # an empty one is its own
-
-
-def _scaled(readings: Array) -> Array:
-    """Return readings over the ranges that they have, in the middle where there is none, (N, n)."""
-    measured = np.isfinite(readings)
-    low = np.min(readings, axis=0, where=measured, initial=np.inf)
-    high = np.max(readings, axis=0, where=measured, initial=-np.inf)
-    ranged = high > low
-    shares = (readings - np.where(ranged, low, 0.0)) / np.where(ranged, high - low, 1.0)
-    return np.where(measured & ranged, shares, 0.5)
 
 
 def _regions(readings: Array, count: int) -> Index:
@@ -209,11 +202,7 @@ class Options:
         return replace(chosen, setup=chosen.setup.anywhere(**unknowns))
 
     def priors_of(self, parameters: Sequence[Parameter]) -> dict[str, float]:
-        """Return the priors in SI, by name.
-
-        Raises:
-            MeasurementError: no number, or one with a unit of another kind than the parameter's.
-        """
+        """Return the priors in SI, by name; raise if one is no number in the parameter's unit."""
         priors: dict[str, float] = {}
         for name, sigma in dict[str, Any](self.priors).items():
             units = {p.unit for p in parameters if means(name, p.owner, p.name)}
@@ -229,10 +218,7 @@ class Options:
         return priors
 
     def priors_by_name(self, mechanism: Mechanism) -> dict[str, float]:
-        """Return how far parameters are from nominal, of tolerances by unit, and of single ones.
-
-        One standard deviation, in the order in which they count: by a name, or by an id.
-        """
+        """Return standard deviations from nominal, by ids of tolerances, then names of priors."""
         by_unit = {} if isinstance(self.tolerance, str) else self.tolerance
         tolerances = {
             parameter.id: by_unit[parameter.unit]
@@ -279,7 +265,7 @@ def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any
 
 
 def _tolerance(tolerance: Mapping[str, float] | str) -> Tolerance:
-    """Return standard deviations of parameters by unit, or that they are to be found."""
+    """Return standard deviations by unit, of a text such as ``0.5mm,5mrad,0.001`` too, or AUTO."""
     if isinstance(tolerance, str) and tolerance.strip() == AUTO:
         return AUTO
     by_unit = _parse_tolerance(tolerance) if isinstance(tolerance, str) else tolerance
@@ -293,7 +279,6 @@ def _tolerance(tolerance: Mapping[str, float] | str) -> Tolerance:
 
 
 def _parse_tolerance(text: str) -> dict[str, float]:
-    """Return standard deviations by unit of a text such as ``0.5mm,5mrad,0.001``."""
     by_unit: dict[str, float] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         unit = re.sub(r"^[-+\d.eE]*", "", part).strip()

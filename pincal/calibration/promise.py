@@ -53,10 +53,7 @@ def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -
 
 
 def unnoticed(chi2: float, degrees_of_freedom: float) -> float:
-    """Return how many times larger than the noise residuals may be by their reduced χ², at 95 %.
-
-    Errors of the model of that size cannot be distinguished from noise; 1 or more.
-    """
+    """Return how many times the noise residuals may be by their reduced χ², at 95 %; 1 or more."""
     if not degrees_of_freedom:
         return 1.0
     return float(np.sqrt(max(1.0, chi2 * degrees_of_freedom / chdtri(degrees_of_freedom, 0.95))))
@@ -121,9 +118,9 @@ def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tup
 
 
 def most_uncertain(result: CalibrationResult) -> Array:
-    """Return the largest standard errors of position [m] and orientation [rad] at measured poses.
+    """Return the largest standard errors at measured poses, [m] and [rad], (2,); NaN if none is.
 
-    They bound the measured region, shape (2,); NaN where no measured pose is determined.
+    They bound the measured region.
     """
     measured = _by_covariance(result, measured_plan(result)).sizes.copy()
     measured[[outlier.row for outlier in result.outliers if outlier.weight == 0.0]] = np.nan
@@ -242,7 +239,6 @@ def misses_of(calibration: Calibration, parameters: Array, external: External) -
     """Return by how much parameters of all legs, (n,), miss targets at a calibration's rows.
 
     NaN where a target was not measured, a reading is missing, or no pose belongs to the readings.
-    External says where base and targets are.
     """
     machine = calibration.identified(parameters)
     observation, data = calibration.observation, calibration.measurements

@@ -11,6 +11,7 @@ import math
 import warnings
 from dataclasses import replace
 from functools import partial
+from operator import eq
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_origin
 
@@ -47,10 +48,6 @@ if TYPE_CHECKING:
     from pincal.show.report import Report
 
 
-def _is_array(kind: Any) -> bool:
-    return get_origin(kind) is np.ndarray or kind is np.ndarray
-
-
 def _plain(array: NDArray[Any]) -> Any:
     """Return an array as its type, shape and numbers; those that are none as strings."""
     numbers = [_CONVERTER.unstructure(number) for number in array.ravel().tolist()]
@@ -84,39 +81,41 @@ def _frozen(data: Any) -> Any:
     return data
 
 
-def _checked(converter: Converter, data: dict[str, Any], kind: type) -> Any:
-    """Return a part of a camera of its plain data."""
-    parts = {"lens": Lens, "markers": Markers}
-    values = {
-        name: converter.structure(value, parts[name]) if name in parts else _frozen(value)
-        for name, value in data.items()
-    }
-    return kind(**values)
-
-
 def _converter() -> Converter:
     """Return what makes plain data of a result and back, but for the mechanism and code."""
     converter = Converter(forbid_extra_keys=True)
-    converter.register_unstructure_hook_func(_is_array, _plain)
+
+    def checked(data: dict[str, Any], kind: type) -> Any:
+        """Return a part of a camera, which checks what it is made of."""
+        parts = {"lens": Lens, "markers": Markers}
+        return kind(
+            **{
+                n: converter.structure(v, parts[n]) if n in parts else _frozen(v)
+                for n, v in data.items()
+            }
+        )
+
+    def is_array(kind: Any) -> bool:
+        return get_origin(kind) is np.ndarray or kind is np.ndarray
+
+    converter.register_unstructure_hook_func(is_array, _plain)
     converter.register_unstructure_hook(np.ndarray, _plain)
-    converter.register_structure_hook_func(_is_array, _array)
     converter.register_unstructure_hook(float, lambda x: x if abs(x) < np.inf else str(x))
-    converter.register_structure_hook(float, lambda data, _: float(data))
     converter.register_unstructure_hook(Mechanism, lambda _: None)
     converter.register_unstructure_hook(Loss, lambda loss: loss.name)
-    converter.register_structure_hook_func(lambda kind: kind == LossName | Loss, _loss)
     converter.register_unstructure_hook_func(lambda kind: kind == Progress, lambda _: None)
-    converter.register_structure_hook_func(lambda kind: kind == Progress, lambda *_: None)
-    converter.register_structure_hook_func(
-        lambda kind: kind == Tolerance, lambda data, _: converter.structure(data, dict[str, float])
-    )
-    converter.register_structure_hook_func(
-        lambda kind: kind == tuple[Instrument, ...],
-        lambda data, _: tuple(converter.structure(camera, Camera) for camera in data),
-    )
-    for kind in (Lens, Markers, Camera):  # which check what they are made of
-        converter.register_structure_hook(kind, partial(_checked, converter))
-    converter.register_structure_hook_func(lambda kind: kind is Any, lambda data, _: _frozen(data))
+    converter.register_structure_hook_func(is_array, _array)
+    converter.register_structure_hook(float, lambda data, _: float(data))
+    for structured, structure in (
+        (LossName | Loss, _loss),
+        (Progress, lambda *_: None),
+        (Tolerance, lambda data, _: converter.structure(data, dict[str, float])),
+        (tuple[Instrument, ...], lambda data, _: tuple(checked(part, Camera) for part in data)),
+        (Any, lambda data, _: _frozen(data)),
+    ):
+        converter.register_structure_hook_func(partial(eq, structured), structure)
+    for kind in (Lens, Markers):
+        converter.register_structure_hook(kind, checked)
     return converter
 
 
@@ -140,13 +139,12 @@ def save_result(
     force: bool = False,
     report: Report | None = None,
 ) -> Path:
-    """Write a result folder, whole or not at all, then its report, and return it.
+    """Write a result folder: arguments and errors are those of ``CalibrationResult.save``.
 
     A fit that did not converge has no calibrated mechanism, so none is written. One that is written
-    reproduces the fit. Arguments are those of ``CalibrationResult.save``.
+    reproduces the fit.
 
     Raises:
-        FileError: the folder exists and ``force`` is not set, or cannot be written.
         MeasurementError: instruments of one's own, which are code, not data.
         PincalError: the mechanism that would be written does not reproduce the fit.
     """
@@ -178,20 +176,23 @@ def save_result(
 def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
     """Raise if a calibrated machine, saved and loaded, does not give the residuals of its fit.
 
-    That is, the twists by which its legs miss the platform at poses and rows of the fit, with what
-    its own terms follow there, against those by the fitted parameters.
-
-    Raises:
-        PincalError: they differ by more than rounding.
+    That is, the least twists of the platform that undo what its legs miss at poses and rows of the
+    fit, with what its own terms follow there, against those by the fitted parameters.
     """
-    calibration = result.calibration
+    calibration, rows = result.calibration, np.arange(len(result.poses))
     data = replace(calibration.measurements, influences=_influences_again(calibration, machine))
     saved = replace(calibration, mechanism=machine, measurements=data)
     identified = np.concatenate([leg.identified for leg in result.legs])
-    fitted = _missing_twists(calibration, result.poses, identified)
-    again = _missing_twists(saved, result.poses, machine.parameters.values)
-    triples = zip(result.legs, fitted, again, strict=True)
-    off = np.concatenate([(a - b)[leg.rows].ravel() for leg, a, b in triples])
+    twists: list[list[Array]] = []
+    for each, parameters in ((calibration, identified), (saved, machine.parameters.values)):
+        block = each.leg_block(range(len(result.legs)), rows, each.used)
+        missing = block.evaluate(State(parameters, machine.platform.matrices(result.poses)))
+        undone = (
+            np.linalg.pinv(missing.by_pose[:, leg]) @ missing.value[:, leg, None]
+            for leg in block.leg_rows
+        )
+        twists.append([twist[leg.rows] for twist, leg in zip(undone, result.legs, strict=True)])
+    off = np.concatenate([(a - b).ravel() for a, b in zip(*twists, strict=True)])
     ratio = np.abs(off).max(initial=0.0) / max(1.0, machine.size)
     if not ratio <= REPRODUCED:  # NaN neither
         raise PincalError(
@@ -201,22 +202,10 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
         )
 
 
-def _missing_twists(calibration: Calibration, poses: Array, parameters: Array) -> list[Array]:
-    """Return the least twists of the platform that undo what each leg misses, (N, dof)."""
-    mechanism, rows = calibration.mechanism, np.arange(len(poses))
-    block = calibration.leg_block(range(len(mechanism.legs)), rows, calibration.used)
-    missing = block.evaluate(State(parameters, mechanism.platform.matrices(poses)))
-    return [
-        (np.linalg.pinv(missing.by_pose[:, leg]) @ missing.value[:, leg, None])[:, :, 0]
-        for leg in block.leg_rows
-    ]
-
-
 def _influences_again(calibration: Calibration, machine: Mechanism) -> dict[str, Array]:
     """Return what terms follow at the rows of a calibration, as a machine works it out itself.
 
-    Sides of approach and loads, at the poses by which they were worked out before the fit, unless
-    they were measured: then they are not what the nominal mechanism says.
+    At the poses of the fit's own; not what was measured, which no mechanism says.
     """
     data = calibration.measurements
     names = calibration.mechanism.followed & set(calibration.mechanism.influences)
@@ -284,10 +273,6 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
     return dict(plain(contents))
 
 
-def _named(instance: object, names: str) -> dict[str, Any]:
-    return {name: getattr(instance, name) for name in names.split()}
-
-
 def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
     """Return columns of residuals in SI, without legs that close by construction."""
     groups = [*((leg.name, leg) for leg in result.legs), *(("", part) for part in result.observed)]
@@ -301,6 +286,10 @@ def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
     return {name: [line[place] for line in lines] for place, name in enumerate(names)}
 
 
+def _named(instance: object, names: str) -> dict[str, Any]:
+    return {name: getattr(instance, name) for name in names.split()}
+
+
 def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
     return {
         **_named(p, "id name unit nominal identified std"),
@@ -311,28 +300,20 @@ def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
 
 
 def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
+    if not math.isfinite(float(text)):
         raise ValueError(f"{text[:40]} is not a finite number")
-    return value
+    return float(text)
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    pairs_by_name: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in pairs_by_name:
-            raise ValueError(f"{name[:40]!r} appears twice")
-        pairs_by_name[name] = value
-    return pairs_by_name
+    names = [name for name, _ in pairs]
+    if twice := [name for place, name in enumerate(names) if name in names[:place]]:
+        raise ValueError(f"{twice[0][:40]!r} appears twice")
+    return dict(pairs)
 
 
 def read_result(folder: str | Path) -> dict[str, Any]:
-    """Return the contents of a result folder's ``result.json``.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: not a result of pincal, or of another version.
-    """
+    """Return the contents of a result folder's ``result.json``; errors are ``load_result``'s."""
     path = Path(folder) / RESULT
     try:
         text = read_text(path, LARGEST_FILE["result"], MeasurementError)

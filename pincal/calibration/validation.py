@@ -23,6 +23,7 @@ from pincal.calibration.findings import MANY_ROWS, rounding, values_of
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import FOLDS, By, clusters, folds_of
 from pincal.calibration.promise import UNEXPLAINED, Misses, by_target, exceeded, misses_of
+from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import KINDS, Missed, Validation
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
@@ -44,27 +45,29 @@ _DRAWN, _CHOSEN = 1000, 2000  # misses of each fold; choices of poses for an int
 
 
 @one_thread()
-def held_out(
-    calibration: Calibration, folds: int = FOLDS, by: By = "region", fits_of_all: Fits | None = None
-) -> tuple[Validation, tuple[Outlier, ...]]:
-    """Return the errors of a calibration at held-out rows, and rows to verify with that are wrong.
+def with_validation(
+    result: CalibrationResult, folds: int = FOLDS, by: By = "region", fits: Fits | None = None
+) -> CalibrationResult:
+    """Return what ``CalibrationResult.validated`` does; by the fits of all rows if at hand."""
+    fits = fits or converged(result.calibration, "the fit of all rows")
+    validation, wrong = _held_out(fits, folds, by)
+    codes = {remark.code for remark in result.findings}
+    news = tuple(remark for remark in validation.findings if remark.code not in codes)
+    outliers = sorted((*result.outliers, *wrong), key=lambda outlier: -outlier.sigma)
+    findings = (*result.findings, *news)
+    return replace(result, validation=validation, findings=findings, outliers=tuple(outliers))
+
+
+def _held_out(fits: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]]:
+    """Return the errors at rows held out of fits, and rows to verify with that are wrong.
 
     Errors are without these and those that a robust loss rejects; folds serve if none is left.
-
-    Args:
-        calibration: What was calibrated.
-        folds: How many times a share of the rows is held out.
-        by: What is held out together.
-        fits_of_all: Its fits of all rows, if they are known; else they are made.
     """
-    if fits_of_all is None:
-        fits_of_all = converged(calibration, "the fit of all rows")
-    robust = fits_of_all.calibration.options.loss != "none"
-    calibration = fits_of_all.calibration.with_options(loss="none")
-    fitting = np.ones(len(calibration.measurements), dtype=bool)
-    fits, wrong = fits_of_all, list[Outlier]()
+    robust = fits.calibration.options.loss != "none"
+    calibration = fits.calibration.with_options(loss="none")
+    fitting, wrong = np.ones(len(calibration.measurements), dtype=bool), list[Outlier]()
     if robust:
-        fitting[[outlier.row for fit in fits_of_all.fits for outlier in fit.outliers]] = False
+        fitting[[outlier.row for fit in fits.fits for outlier in fit.outliers]] = False
     while True:
         if robust or wrong:
             fits = converged(calibration.rows(fitting), "the fit of the rows that fit")
@@ -79,7 +82,7 @@ def held_out(
         validation = replace(validation, findings=(remark,))
     sigma = np.full(len(fitting), np.nan)
     sigma[fitting] = validation.sigma
-    return replace(validation, sigma=sigma), tuple(wrong)
+    return replace(validation, sigma=sigma), wrong
 
 
 def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]]:
@@ -94,7 +97,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     )
     misses = {target: np.full(len(groups), np.nan) for target in at_fit}
     dof = fits_of_all.degrees_of_freedom
-    chi2 = sum(fit.chi2 for fit in fits_of_all.fits)
+    chi2 = fits_of_all.chi2
     # rows to verify with are in no fit, nor is what relates rows of two folds
     open_ends = [(groups < 0).any(), calibration.observation.setup.between]
     total = None if any(open_ends) else chi2
@@ -170,12 +173,7 @@ def _check_touched(calibration: Calibration, groups: Index) -> None:
 def converged(
     calibration: Calibration, subject: str, near: Fits | None = None, rows: Mask | None = None
 ) -> Fits:
-    """Return fits that converge, the search begun near others of which these are some rows.
-
-    Raises:
-        MeasurementError: the search for them does not converge.
-        ObservabilityError: rows that do not determine the parameters.
-    """
+    """Return fits that converge, or raise; the search begun near others, of some of their rows."""
     fits = fitted(calibration, near, rows)
     if not fits.converged:
         raise MeasurementError(
@@ -293,15 +291,14 @@ def _chance(fits: Fits, sums: Array, total: float | None) -> float:
     an F test where the scale of the noise was estimated (G. C. Chow 1960). To first order that is
     Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
 
-    Sums are what fits of the other rows predict of them, row by row (see ``_sums``), the total
-    is χ² of all rows at this noise: by the first order if not given.
+    Sums are those of ``_sums``; the total is χ² of all rows at this noise: by first order if None.
     """
     statistic, _, _, equations = sums.sum(axis=0).tolist()
     if not equations:
         return 1.0
     dof = fits.degrees_of_freedom
     share = 1.0 if fits.latent else chi2_freedoms(fits.fits) / max(dof, 1)
-    chi2_fitted = sum(fit.chi2 for fit in fits.fits)
+    chi2_fitted = fits.chi2
     inside = statistic if total is None else max(total - chi2_fitted, 0.0)
     ratio, own_ratio = inside / equations, chi2_fitted / max(dof, 1)
     if fits.calibration.noise.known:

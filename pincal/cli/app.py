@@ -216,10 +216,8 @@ def wrote(*paths: Path) -> None:
 def main(argv: list[str] | None = None) -> None:
     """Run the command line; it leaves by ``SystemExit``, with the exit code.
 
-    0 done, 1 not converged, 2 wrong input, 3 no report, 4 the answer could not be printed.
-
-    Args:
-        argv: What was typed behind ``pincal``; that of the process if not given.
+    0 done, 1 not converged, 2 wrong input, 3 no report, 4 the answer could not be printed. What
+    was typed behind ``pincal`` is that of the process if not given.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them

@@ -12,11 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from pincal import MeasurementError, Measurements, Mechanism, Noise, Options, Setup, load_mechanism
-from pincal.calibration.calibrate import explained, prepared, run
+from pincal.calibration.calibrate import Remedy, explained, prepared, remedies, run
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.hypotheses.doctor import Remedy, remedies
 from pincal.calibration.options import AUTO, FOLDS, By
-from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import REPORT, RESULT_FILES
 from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
 from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option, typed_name
@@ -78,11 +76,7 @@ class InputOptions(SetupOptions):
         return replace(calibration, options=replace(calibration.options, noise=noise))
 
     def noise_of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
-        """Return the noise given, or None if none was; a tracker says itself how well it measures.
-
-        Raises:
-            MeasurementError: it is given of some of what was measured.
-        """
+        """Return the noise given, None if none was; a tracker says itself how well it measures."""
         sigmas = {"m": self.noise_position, "rad": self.noise_orientation, "": self.noise_reading}
         sigmas |= {"px": self.noise_pixel}
         if set(sigmas.values()) == {None}:
@@ -178,10 +172,6 @@ def calibrate(
     say(answers.next_line(steps))
     if undrawn:
         fail(3, f"exit code 3: the report could not be drawn ({undrawn}); the result is written")
-    _fail_if_contradicted(result)
-
-
-def _fail_if_contradicted(result: CalibrationResult) -> None:
     if not result.converged:
         fail(1)
     if result.excess > 1.0:
@@ -220,13 +210,9 @@ def again(
     measured: tuple[Path, Path] | None = None,
     dropped: Sequence[Field[Any]] = (),
 ) -> str:
-    """Return what was typed, as another command of the same measurements.
+    """Return what was typed as another command, with further words, without what it has not.
 
-    Args:
-        command: ``calibrate``, ``explain`` or ``doctor``; options that it has not are left out.
-        *added: Further words.
-        measured: A file of measurements, and that in place of it.
-        dropped: Further options to leave out.
+    Measured is a file of measurements, and that in place of it; dropped are further options.
     """
     groups = {"explain": (CalibrateOptions,), "doctor": (CalibrateOptions, Options)}
     dropped = [*dropped, *(field for kind in groups.get(command, ()) for field in fields(kind))]
@@ -315,14 +301,11 @@ def _say_cure(
             wrote(output)
     elif output:
         remark(f"options suffice: {output} is not written, use {measurements}")
-    say("this works:", *(f"  {line}" for line in [*lines, _cured(cure, known, corrected)]))
-
-
-def _cured(remedy: Remedy, known: InputOptions, corrected: tuple[Path, Path] | None = None) -> str:
-    options, as_typed = remedy.calibration.options, known.read_setup()
+    options, as_typed = cure.calibration.options, known.read_setup()
     words = ["--unknown-frame"] * (options.setup.unknown_frame and not known.unknown_frame)
     unknown_target = options.setup.targets[ORIGIN].unknown
     words += ["--unknown-target"] * (unknown_target and not as_typed.targets[ORIGIN].unknown)
     words += ["--rough"] * options.rough
     words += ["--loss", str(options.loss)] if options.loss != "none" else []
-    return again("calibrate", *words, measured=corrected)
+    lines.append(again("calibrate", *words, measured=corrected))
+    say("this works:", *(f"  {line}" for line in lines))

@@ -22,21 +22,7 @@ SEED = Option("Seed of all random choices.", least=0)
 
 
 def offered(name: str, declared: Option) -> typer.models.OptionInfo:
-    """Return an option as typer offers it."""
-    number = "NUMBER+UNIT" if declared.needs_unit else "NUMBER[UNIT]"
-    info: typer.models.OptionInfo = typer.Option(
-        f"--{name}",
-        help=declared.help,
-        metavar=declared.metavar or (number if declared.unit else None),
-        min=declared.least,
-        max=declared.most,
-        parser=_number_parser(declared) if declared.unit else None,
-    )
-    return info
-
-
-def _number_parser(declared: Option) -> Any:
-    """Return what reads a number that may have a unit."""
+    """Return an option as typer offers it; numbers may have a unit."""
 
     def parse(text: str | float) -> float:
         if isinstance(text, float):
@@ -46,7 +32,16 @@ def _number_parser(declared: Option) -> Any:
         except MeasurementError as error:
             raise typer.BadParameter(str(error)) from None
 
-    return parse
+    number = "NUMBER+UNIT" if declared.needs_unit else "NUMBER[UNIT]"
+    info: typer.models.OptionInfo = typer.Option(
+        f"--{name}",
+        help=declared.help,
+        metavar=declared.metavar or (number if declared.unit else None),
+        min=declared.least,
+        max=declared.most,
+        parser=parse if declared.unit else None,
+    )
+    return info
 
 
 def output_option(metavar: str, text: str) -> typer.models.OptionInfo:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.calibration.hypotheses.doctor import Remedy
+from pincal.calibration.calibrate import Remedy
 from pincal.calibration.terms.choice import LEVEL, Explanation
 from pincal.calibration.terms.kinds import GROWTH, PULLEY, READINGS, parts_of, term_text
 from pincal.calibration.terms.screen import Candidate

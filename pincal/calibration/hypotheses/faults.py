@@ -1,8 +1,7 @@
 """What goes wrong when machines are measured: hypotheses, each with the measurements put right.
 
-One table for all mechanisms. Frames and orders concern the poses or columns as a whole; a sign, a
-unit or a motor's zero may be wrong in the readings of single legs. Which of them explain
-measurements is decided by one rule, in ``plausibility``.
+Frames and orders concern poses or columns as a whole; a sign, a unit or a motor's zero may be wrong
+in the readings of single legs. ``plausibility`` decides which of them explain measurements.
 """
 
 from __future__ import annotations
@@ -59,17 +58,25 @@ def faults(case: Case) -> Iterator[Hypothesis]:
         if platform.space == 3 or Q[2, 2] == 1.0:
             for turned in (True, False) if turning else (True,):
                 values = {"axis": axis, "orientations_right": not turned}
-                reflected = _posed(platform, partial(_reflected, Q=Q, turned=turned))
+                right = partial(_reflected, Q=Q, U=Q if turned else np.eye(3))
+                reflected = _posed(platform, right)
                 yield Hypothesis("left-handed-frame", reflected, values)
     if turning:
         yield from _angles(case)
         inverted = _posed(platform, lambda r, R: (r, R.transpose(0, 2, 1)))
         yield Hypothesis("orientation-inverted", inverted)
-        yield Hypothesis("pose-inverted", _posed(platform, _inverted))
+        inverted = _posed(platform, lambda r, R: (-np.einsum("nji,nj->ni", R, r), R.mT))
+        yield Hypothesis("pose-inverted", inverted)
     if len(case.mechanism.leg_names) == len(case.mechanism.reading_names):
         yield from _exchanged(case)
-    for shift in _SHIFTS:
-        yield Hypothesis("rows-shifted", _read(partial(_shifted, shift=shift)), {"shift": shift})
+    for shift in _SHIFTS:  # readings stand some rows below, or above, the poses
+
+        def shifted(readings: Array, shift: int = shift) -> Array:
+            moved = np.roll(readings, -shift, axis=0)
+            moved[slice(-shift, None) if shift > 0 else slice(-shift)] = np.nan
+            return moved
+
+        yield Hypothesis("rows-shifted", _read(shifted), {"shift": shift})
 
 
 def faults_of_a_row(case: Case) -> Iterator[Hypothesis]:
@@ -134,14 +141,14 @@ def zeros_by_poses(case: Case, nominal: Array) -> Array:
 
 
 def scale(case: Case, nominal: Array) -> Hypothesis:
-    """Return how readings are scaled, such as counts, by nominal ones, shape (N, n_readings)."""
-    factors = _factors(case, nominal)
-    values = {"factors": tuple(factors.tolist())}
-    return Hypothesis("scale-of-readings", _readings_times(1.0 / factors), values, by_leg=True)
+    """Return how readings are scaled, such as counts, by nominal ones, shape (N, n_readings).
 
+    By nearly whole numbers; what a wrong unit explains is none.
+    """
 
-def _factors(case: Case, nominal: Array) -> Array:
-    """Return how many times too large readings are, (n_readings,): nearly whole numbers are."""
+    def nearly(factor: float, reference: float) -> bool:
+        return abs(factor / reference - 1.0) < _ROUND
+
     factors = np.ones(nominal.shape[1])
     for column, unit in enumerate(case.mechanism.reading_units):
         pairs = np.abs(np.stack((case.readings[:, column], nominal[:, column])))
@@ -151,14 +158,11 @@ def _factors(case: Case, nominal: Array) -> Array:
             continue
         factor = float(measured / expected)
         whole_number = round(factor) if factor > 1.0 else 1.0 / round(1.0 / factor)
-        of_unit = any(_nearly(factor * right, 1.0) for right in UNITS[unit].values())
-        nearest = whole_number if _nearly(factor, whole_number) else factor
+        of_unit = any(nearly(factor * right, 1.0) for right in UNITS[unit].values())
+        nearest = whole_number if nearly(factor, whole_number) else factor
         factors[column] = 1.0 if of_unit else nearest
-    return factors
-
-
-def _nearly(factor: float, reference: float) -> bool:
-    return abs(factor / reference - 1.0) < _ROUND
+    values = {"factors": tuple(factors.tolist())}
+    return Hypothesis("scale-of-readings", _readings_times(1.0 / factors), values, by_leg=True)
 
 
 def _posed(platform: Platform, move: Callable[[Array, Array], tuple[Array, Array]]) -> Right:
@@ -174,17 +178,11 @@ def _posed(platform: Platform, move: Callable[[Array, Array], tuple[Array, Array
     return right
 
 
-def _inverted(r: Array, R: Array) -> tuple[Array, Array]:
-    turns = R.transpose(0, 2, 1)
-    return -(turns @ r[:, :, None])[:, :, 0], turns
-
-
-def _reflected(r: Array, R: Array, Q: Array, turned: bool) -> tuple[Array, Array]:
-    return r @ Q.T, Q @ R @ Q.T if turned else R
+def _reflected(r: Array, R: Array, Q: Array, U: Array) -> tuple[Array, Array]:
+    return r @ Q.T, U @ R @ U.T
 
 
 def _scaled(data: Measurements, poses: Array, readings: Array) -> Measurements:
-    """Return measurements with coordinates times (dof,), and readings times (n_readings,)."""
     return replace(data, poses=data.poses * poses, readings=data.readings * readings)
 
 
@@ -198,13 +196,6 @@ def _readings_times(factors: Array | float) -> Right:
 
 def _ordered(order: Sequence[int]) -> Right:
     return _read(partial(np.take, indices=order, axis=1))
-
-
-def _shifted(readings: Array, shift: int) -> Array:
-    """Return the readings that stand some rows below, or above, the poses; NaN where none are."""
-    moved = np.roll(readings, -shift, axis=0)
-    moved[slice(-shift, None) if shift > 0 else slice(-shift)] = np.nan
-    return moved
 
 
 def of_legs(hypothesis: Hypothesis, mechanism: Mechanism, legs: Sequence[int]) -> Hypothesis:
@@ -223,17 +214,13 @@ def _swapped(count: int, i: int, j: int) -> list[int]:
     return [{i: j, j: i}.get(k, k) for k in range(count)]
 
 
-def _minus(count: int, i: int) -> Array:
-    return np.where(np.arange(count) == i, -1.0, 1.0)
-
-
 def _columns_of_a_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
     """Yield one reading's sign, and two columns exchanged, of legs with several sensors."""
     names = mechanism.reading_names
     n = len(names)
     for columns in (range(c.start, c.stop) for c in mechanism.reading_columns):
         for i in columns if len(columns) > 1 else ():
-            right = _readings_times(_minus(n, i))
+            right = _readings_times(1.0 - 2.0 * np.eye(n)[i])
             yield Hypothesis("sign-of-column", right, {"column": names[i]})
         for i, j in combinations(columns, 2):
             right, values = _ordered(_swapped(n, i, j)), {"columns": (names[i], names[j])}
@@ -244,38 +231,39 @@ def _angles(case: Case) -> Iterator[Hypothesis]:
     """Yield signs and orders of the columns by which a spatial platform's orientation was given."""
     platform = case.mechanism.platform
     written = case.calibration.measurements.written
+
+    def turned(r: Array, R: Array, way: str, changes: Array) -> tuple[Array, Array]:
+        return r, rotation_of(way, columns_of(way, Rotation.from_matrix(R)) @ changes.T).as_matrix()
+
     for way in ((written,) if written else WAYS) if platform.turns == 3 else ():
         names, unit = WAYS[way]
         n = len(names)
         for i in range(n) if unit == "rad" else ():
-            move = partial(_turned, way=way, order=range(n), signs=_minus(n, i))
+            move = partial(turned, way=way, changes=np.diag(1.0 - 2.0 * np.eye(n)[i]))
             yield Hypothesis("sign-of-angle", _posed(platform, move), {"column": names[i]})
         swaps = [_swapped(n, i, j) for i, j in combinations(range(n), 2)]
         for order in [*swaps, [*range(1, n), 0], [n - 1, *range(n - 1)]]:
-            move = partial(_turned, way=way, order=order, signs=np.ones(n))
+            move = partial(turned, way=way, changes=np.eye(n)[order])
             values = tuple((names[i], names[k]) for i, k in enumerate(order) if i != k)
             yield Hypothesis("angles-exchanged", _posed(platform, move), {"order": values})
 
 
-def _turned(
-    r: Array, R: Array, way: str, order: Sequence[int], signs: Array
-) -> tuple[Array, Array]:
-    """Return poses with the columns of orientations in another order, and with other signs."""
-    columns = columns_of(way, Rotation.from_matrix(R))
-    return r, rotation_of(way, columns[:, order] * signs).as_matrix()
-
-
 def _exchanged(case: Case) -> Iterator[Hypothesis]:
     """Yield the order in which legs fit best, each judged alone, or orders that are likely."""
-    names = case.mechanism.leg_names
-    n = len(names)
-    turned = [[*range(k, n), *range(k)] for k in range(n)]
+    n = len(case.mechanism.leg_names)
+    every, turned = np.arange(n), [[*range(k, n), *range(k)] for k in range(n)]
     orders = [_swapped(n, i, j) for i, j in combinations(range(n), 2)]
     orders += [*turned, *(order[::-1] for order in turned)]
-    if case.alone:
-        orders = [_best_order(case, turned)]
-    for order in dict.fromkeys(map(tuple, orders)):
-        if order != tuple(range(n)):
+    if case.alone:  # the column that each leg fits best, each to one leg; legs stay where they may
+        costs = -1e-9 * np.eye(n)
+        tried = [Hypothesis("legs-exchanged", _ordered(order)) for order in turned]
+        for order, judged in zip(turned, judge(case, tried), strict=True):
+            near = [judged.near(leg) if judged.rows[leg] > 1 else 1.0 for leg in every.tolist()]
+            least = np.where(judged.rows > 1, QUESTIONED * judged.stroke, 0.0)
+            costs[every, order] += np.clip(np.nan_to_num(near, nan=1.0), least, 1.0)
+        orders = [linear_sum_assignment(costs)[1].tolist()]
+    for k, order in enumerate(orders):
+        if order != every.tolist() and order not in orders[:k]:
             yield _legs_exchanged(case.mechanism, order)
 
 
@@ -285,45 +273,28 @@ def _legs_exchanged(mechanism: Mechanism, order: Sequence[int]) -> Hypothesis:
     return Hypothesis("legs-exchanged", _ordered(order), {"order": exchanged})
 
 
-def _best_order(case: Case, turned: Sequence[list[int]]) -> list[int]:
-    """Return the column that each leg fits best, each to one leg; legs stay where they may."""
-    every = np.arange(len(turned))
-    costs = -1e-9 * np.eye(len(turned))
-    tried = [Hypothesis("legs-exchanged", _ordered(order)) for order in turned]
-    for order, judged in zip(turned, judge(case, tried), strict=True):
-        near = [judged.near(leg) if judged.rows[leg] > 1 else 1.0 for leg in every.tolist()]
-        least = np.where(judged.rows > 1, QUESTIONED * judged.stroke, 0.0)
-        costs[every, order] += np.clip(np.nan_to_num(near, nan=1.0), least, 1.0)
-    return linear_sum_assignment(costs)[1].tolist()
+def with_zeros(calibration: Calibration, faults: Sequence[Finding]) -> Array | None:
+    """Return where the search starts with motors' zeros that were found, shape (n_params,).
 
-
-def zeros_found(calibration: Calibration, faults: Sequence[Finding]) -> Array | None:
-    """Return where the search starts, (n_params,), if zeros alone explain what does not fit.
-
-    None if a fault among those found is another, or a zero is not identified.
+    Those that full poses show of a machine that is known roughly; else those that alone explain
+    what does not fit. None if a fault is another, or they are not identified.
     """
-    names = calibration.mechanism.reading_names
+    names, rough = calibration.mechanism.reading_names, calibration.options.rough
     offsets = np.zeros(len(names))
-    if [(fault.code, fault.values.get("unknown_frame")) for fault in faults] != [_ZEROS]:
+    if rough:
+        case = case_of(calibration)
+        nominal = judge_as_measured(case).nominal_readings if case and case.alone else None
+        if case is None or nominal is None:
+            return None
+        offsets = zeros_by_poses(case, nominal)
+    elif [(fault.code, fault.values.get("unknown_frame")) for fault in faults] == [_ZEROS]:
+        for name, off, _ in faults[0].values["offsets"]:
+            offsets[names.index(name)] = off
+    else:
         return None
-    for name, off, _ in faults[0].values["offsets"]:
-        offsets[names.index(name)] = off
     start, identified = _moved_zeros(calibration, offsets)
-    return start if identified[offsets != 0.0].all() else None
-
-
-def zeros_measured(calibration: Calibration) -> Array | None:
-    """Return where the search starts with the zeros that full poses show, shape (n_params,).
-
-    None without full poses, or if no zero is identified.
-    """
-    case = case_of(calibration)
-    nominal = judge_as_measured(case).nominal_readings if case and case.alone else None
-    if case is None or nominal is None:
-        return None
-    offsets = zeros_by_poses(case, nominal)
-    start, identified = _moved_zeros(calibration, offsets)
-    return start if offsets[identified].any() else None
+    moved = offsets[identified].any() if rough else identified[offsets != 0.0].all()
+    return start if moved else None
 
 
 def _moved_zeros(calibration: Calibration, offsets: Array) -> tuple[Array, Array]:

@@ -78,8 +78,7 @@ class Case:
         """Return a case; None without rows, or if only the target's place is unknown.
 
         Free is a base at an unknown place. Rows are those with complete poses, or else those with
-        positions and all readings. Who asks again gets the same case: what explains it is found
-        once.
+        positions and all readings.
         """
         known, poses = np.isfinite(data.poses), data.poses.copy()
         rows, oriented = np.flatnonzero(known.all(axis=1)), True
@@ -192,20 +191,18 @@ class Judged:
         gap = float(self.gap[leg])
         return min(gap, float(np.nanmedian(self.left(leg)))) if gap <= DIFFER else gap
 
-    def misfit_of(self, leg: int) -> float:
-        """Return a leg's share in the misfit: what is left, or 1 in another working mode."""
-        return self.near(leg) if self.as_home[leg] else max(1.0, float(self.gap[leg]))
-
     @property
     def misfits(self) -> Array:
-        """Misfit of each leg, none below what is no gap, shape (n_legs,)."""
-        legs = range(len(self.rows))
-        return np.array([max(self.misfit_of(i) if self.rows[i] > 1 else 0, PRECISE) for i in legs])
+        """What is left of each leg, 1 in another working mode, 0 without rows, (n_legs,)."""
+        sizes = np.zeros(len(self.rows))
+        for i in self.judged:
+            sizes[i] = self.near(i) if self.as_home[i] else max(1.0, float(self.gap[i]))
+        return sizes
 
     @property
     def misfit(self) -> float:
         """Mean over the legs that have rows; 1 where nothing fits, or on the other side."""
-        mean = float(np.mean([self.misfit_of(leg) for leg in self.judged] or [1.0]))
+        mean = float(self.misfits[self.judged].mean()) if self.judged else 1.0
         return max(mean, 1.0) if self.elsewhere > 0.5 else mean
 
     @cached_property

@@ -42,11 +42,7 @@ def photo_faults(calibration: Calibration) -> tuple[Finding, ...]:
 
 
 def check_photos(calibration: Calibration) -> None:
-    """Raise if photos do not fit the nominal machine at all, and something explains that.
-
-    Raises:
-        MisfitError: what does.
-    """
+    """Raise a MisfitError if photos do not fit the nominal machine, and something explains that."""
     far = _FAR * calibration.mechanism.size
     if calibration.options.setup.pixels and _missed(_sample(calibration))[0] > far:
         for fault in photo_faults(calibration):
@@ -84,13 +80,18 @@ def _hypotheses(calibration: Calibration) -> Iterator[tuple[str, dict[str, Any],
         for values in moved.values():
             values[slice(shift) if shift > 0 else slice(shift, None)] = np.nan
         shifted = replace(data, extra={**data.extra, **moved})
-        yield (
-            "photos-shifted",
-            {"shift": shift},
-            _sample(replace(calibration, measurements=shifted)),
-        )
-    for quarters in (1, 2, 3):
-        yield "photos-turned", {"turn": 90 * quarters}, _turned(sample, quarters)
+        changed = _sample(replace(calibration, measurements=shifted))
+        yield "photos-shifted", {"shift": shift}, changed
+    for quarters in (1, 2, 3):  # turned back, by so many anticlockwise
+        extra = dict(sample.measurements.extra)
+        for camera in _cameras(sample):
+            width, height = np.array(camera.lens.size) - 1.0
+            for right, down in camera.marks.values():
+                u, v = extra[right], extra[down]
+                ways = ((v, height - u), (width - u, height - v), (width - v, u))
+                extra[right], extra[down] = ways[quarters - 1]
+        turned = replace(sample, measurements=replace(sample.measurements, extra=extra))
+        yield "photos-turned", {"turn": 90 * quarters}, turned
     yield from _boards(sample)
 
 
@@ -99,29 +100,16 @@ def _boards(sample: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibrat
     boards = {camera.markers.name: camera.markers for camera in _cameras(sample)}
     for name, board in boards.items():
         mirrored = {p: xyz and (-xyz[0], *xyz[1:]) for p, xyz in board.points.items()}
-        changed = {name: replace(board, points=mirrored)}
-        yield "board-mirrored", {"board": name}, _with_boards(sample, changed)
+        mirror = {name: replace(board, points=mirrored)}
+        yield "board-mirrored", {"board": name}, _with_boards(sample, mirror)
     for first, second in combinations(boards.values(), 2):
         if len(first.points) == len(second.points):
-            points = [[*board.points.values()] for board in (second, first)]
-            changed = {
-                board.name: replace(board, points=dict(zip(board.points, places, strict=True)))
-                for board, places in zip((first, second), points, strict=True)
+            exchanged = {
+                a.name: replace(a, points=dict(zip(a.points, b.points.values(), strict=True)))
+                for a, b in ((first, second), (second, first))
             }
             names = (first.name, second.name)
-            yield "boards-exchanged", {"boards": names}, _with_boards(sample, changed)
-
-
-def _turned(sample: Calibration, quarters: int) -> Calibration:
-    """Return photos turned back, by so many quarters anticlockwise."""
-    extra = dict(sample.measurements.extra)
-    for camera in _cameras(sample):
-        width, height = np.array(camera.lens.size) - 1.0
-        for right, down in camera.marks.values():
-            u, v = extra[right], extra[down]
-            ways = ((v, height - u), (width - u, height - v), (width - v, u))
-            extra[right], extra[down] = ways[quarters - 1]
-    return replace(sample, measurements=replace(sample.measurements, extra=extra))
+            yield "boards-exchanged", {"boards": names}, _with_boards(sample, exchanged)
 
 
 def _scaled(sample: Calibration) -> Iterator[Judged]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -66,8 +67,7 @@ def implausible(calibration: Calibration) -> tuple[Finding, ...]:
 def explain_misfit(calibration: Calibration, frame: External | None = None) -> tuple[Finding, ...]:
     """Return what would explain that measurements do not fit; empty if nothing does.
 
-    By frame and targets as they were estimated, if they were; not by zeros of motors where the
-    search started at those that measurements show.
+    By frame and targets as they were estimated, if they were; not by zeros that a start has.
     """
     if calibration.options.setup.pixels and (faults := photo_faults(calibration)):
         return faults
@@ -82,9 +82,8 @@ def hypotheses_of(calibration: Calibration) -> list[tuple[Finding, Judged]]:
     """Return hypotheses that explain measurements that do not fit, each with what it says."""
     if (case := case_of(calibration)) is None:
         return []
-    explaining = _explaining(case)
-    findings = as_findings(case.mechanism, judge_as_measured(case), explaining)
-    return list(zip(findings, explaining, strict=True))
+    explaining = explanations(case)
+    return list(zip(as_findings(case, explaining), explaining, strict=True))
 
 
 def _faults(
@@ -94,32 +93,25 @@ def _faults(
     as_measured = judge_as_measured(case)
     if faults := _still(case, as_measured):
         return faults
-    return as_findings(case.mechanism, as_measured, _explaining(case)) or unexplained(
-        case, as_measured
-    )
+    return as_findings(case, explanations(case)) or unexplained(case, as_measured)
 
 
 @lru_cache(maxsize=4)
-def _explaining(case: Case) -> list[Judged]:
+def explanations(case: Case) -> list[Judged]:
+    """Return the hypotheses that explain measurements, the simplest, as good as the best."""
     as_measured = judge_as_measured(case)
     if as_measured.fits_well:
         return []
     slips = _slips(case, as_measured)  # few rows may be all that is wrong
     if slips and judge(replace(case, rows=np.setdiff1d(case.rows, slips[0].rows)))[0].fits_well:
         return []
-    return explanations(case, as_measured)
-
-
-def explanations(case: Case, as_measured: Judged) -> list[Judged]:
-    """Return the hypotheses that explain measurements, the simplest, as good as the best."""
     for stage in _stages(case, as_measured):
         explaining = [judged for judged in stage if _explains(judged, as_measured)]
         if explaining:
-            best = max(min(judged.misfit for judged in explaining), PRECISE)
+            best = max(PRECISE, min(map(attrgetter("misfit"), explaining)))
             equal = [judged for judged in explaining if judged.misfit <= EQUAL * best]
-            on_this_side = [
-                judged for judged in equal if other_side(case.mechanism, judged.matrices) <= 0.5
-            ]
+            sides = [other_side(case.mechanism, judged.matrices) for judged in equal]
+            on_this_side = [j for j, side in zip(equal, sides, strict=True) if side <= 0.5]
             return on_this_side or ([] if as_measured.elsewhere > 0.5 else equal)
     return []
 
@@ -170,7 +162,8 @@ def _judged(case: Case, as_measured: Judged, hypotheses: Iterable[Hypothesis]) -
     stage = []
     for judged in judge(case, list(hypotheses)):
         if judged.hypothesis.by_leg:
-            divided = judged.misfits * _EACH <= as_measured.misfits
+            misfits, before = (np.maximum(j.misfits, PRECISE) for j in (judged, as_measured))
+            divided = misfits * _EACH <= before
             helped = [i for i in judged.judged if divided[i]]
             if helped and len(helped) < len(every):
                 stage += judge(case, [of_legs(judged.hypothesis, mechanism, helped)])
@@ -209,13 +202,15 @@ def _zeros(case: Case) -> list[Judged]:
     return _likely(case, [replace(zeros(offset), legs=(leg,)) for leg, offset in offsets])
 
 
-def as_findings(
-    mechanism: Mechanism, as_measured: Judged, explaining: Sequence[Judged]
-) -> tuple[Finding, ...]:
+def as_findings(case: Case, explaining: Sequence[Judged]) -> tuple[Finding, ...]:
     """Return hypotheses that explain measurements as findings."""
+    mechanism, as_measured = case.mechanism, judge_as_measured(case)
     names, reading_names = mechanism.leg_names, mechanism.reading_names
     named_legs, findings = as_measured.questioned or list(range(len(names))), []
     for judged in explaining:
+        misfit, before = (
+            max(PRECISE, float(each.misfits[named_legs].max())) for each in (judged, as_measured)
+        )
         hypothesis, values = judged.hypothesis, dict[str, Any](judged.hypothesis.values)
         legs = hypothesis.legs or range(len(names))
         for key in values.keys() & {"offsets", "factors"}:  # those of its legs, with their names
@@ -223,8 +218,8 @@ def as_findings(
             values[key] = tuple(v for i in legs for v in every[mechanism.reading_columns[i]])
         values |= {
             "legs": tuple(names[i] for i in hypothesis.legs),
-            "given": float(as_measured.misfits[named_legs].max()) if as_measured.placed else None,
-            "left": float(judged.misfits[named_legs].max()),
+            "given": before if as_measured.placed else None,
+            "left": misfit,
             "other_side": as_measured.elsewhere,
             "unknown_frame": judged.free and not as_measured.free,
         }
@@ -312,15 +307,11 @@ def _slips(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
 
 
 def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
-    """Raise if rows that serve the same leg are equal in all that was measured.
+    """Raise a MeasurementError if rows that serve the same leg are equal in all that was measured.
 
-    Rows chosen for several legs may be copies of each other: each leg has its own. But if
-    ``every_pose`` serves every leg, whatever its set, copies would count as so many measurements.
-    Where equal readings come with different poses, measurements were repeated, and poses
+    Rows chosen for several legs may be copies of each other, unless ``every_pose`` serves every
+    leg. Where equal readings come with different poses, measurements were repeated, and poses
     written with few digits may be equal by chance; rows of one ``pose`` are repeats, not copies.
-
-    Raises:
-        MeasurementError: rows that are copies.
     """
     measured = np.column_stack([data.poses, *data.extra.values()])
     first: dict[tuple[str, bytes], int] = {}
@@ -362,11 +353,7 @@ _ABOUT = 0.1  # relative, within which it is that
 
 
 def check_distances(calibration: Calibration) -> None:
-    """Raise if what is measured between rows is the nominal mechanism's but for a unit or a sign.
-
-    Raises:
-        MeasurementError: the first of them.
-    """
+    """Raise if what is measured between rows is the nominal machine's but for a unit or a sign."""
     observation, data = calibration.observation, calibration.measurements
     least = QUESTIONED * calibration.mechanism.size
     if not observation.setup.between or not np.isfinite(data.readings).all():
@@ -399,20 +386,15 @@ def check_distances(calibration: Calibration) -> None:
 
 
 def check_noise(mechanism: Mechanism, noise: Noise | None) -> None:
-    """Raise if the noise given is so large that a unit must be wrong.
-
-    Raises:
-        MeasurementError: position noise above 2 % of a leg's size, or 0.02 rad of orientation.
-    """
-    size = mechanism.size
-    noise = noise or Noise(0.0, 0.0)
+    """Raise if noise is above 2 % of a leg's size, or 0.02 rad: a unit must be wrong."""
+    size, noise = mechanism.size, noise or Noise(0.0, 0.0)
     turns = "rad" in mechanism.platform.units
     for what, given, unit, most in (
         ("position", noise.position, "m", QUESTIONED * size),
         ("orientation", noise.orientation, "rad", QUESTIONED if turns else np.inf),
     ):
         if given > most:
-            too_large = finding(
-                "noise-too-large", what=what, given=given, unit=unit, most=most, size=size
+            values: dict[str, Any] = {"what": what, "given": given, "unit": unit}
+            raise MeasurementError(
+                sentence(finding("noise-too-large", **values, most=most, size=size))
             )
-            raise MeasurementError(sentence(too_large))

@@ -50,15 +50,13 @@ def with_terms(
     """Return a mechanism with more terms, at zero, and the ids of their amplitudes.
 
     What it has already is not added again, and harmonics are of turning joints only. Growth of all
-    lengths has one amplitude in each leg, which are to be tied.
-
-    Args:
-        mechanism: The mechanism.
-        measurements: Say over what range terms are scaled.
-        kinds: Places, single or several as one, and what is added to each (see ``kinds``).
+    lengths has one amplitude in each leg, which are to be tied. Kinds are places, single or several
+    as one, and what is added to each; measurements say over what range terms are scaled.
     """
-    parts = {pair: _single_pairs(pair, mechanism) for pair in kinds}
+    parts = {pair: [(place, pair[1]) for place in parts_of(pair[0], mechanism)] for pair in kinds}
     pairs = list(dict.fromkeys(chain.from_iterable(parts.values())))
+    for place, kind in pairs:
+        check_place(place, kind, mechanism)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
     idle = {(place, GRAVITY) for place in idle_places(mechanism, data)}
     tried_pairs = [(place, kind) for place, kind in pairs if (place, kind.name) not in idle]
@@ -81,14 +79,6 @@ def with_terms(
     return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), named
 
 
-def _single_pairs(pair: Pair, mechanism: Mechanism) -> list[Pair]:
-    """Return the single places that are meant, each with the kind, which it can have."""
-    pairs = [(place, pair[1]) for place in parts_of(pair[0], mechanism)]
-    for place, kind in pairs:
-        check_place(place, kind, mechanism)
-    return pairs
-
-
 def _lacking(
     leg: Leg, tried_pairs: Sequence[Pair], data: Measurements, readings: Array
 ) -> Iterator[tuple[Pair, dict[int | str, Term], str]]:
@@ -99,15 +89,11 @@ def _lacking(
     places = [(i, name, unit, values) for i, (name, unit, values) in enumerate(sensors)]
     places += [(n, f"{leg.name}.{n}", unit, _NOTHING) for n, unit in leg.placed.items()]
     for key, place, unit, values in places:
-        stem = key if isinstance(key, str) else place * several
+        stem, of_place = (key, f"of {key} ") if isinstance(key, str) else (place * several, "")
         for kind in (k for wanted_place, k in tried_pairs if wanted_place == place and k != PULLEY):
             for name, basis, of, label in _bases(kind, place, unit, values, data):
                 term = Term(_identifier(stem, name), basis, of=of)
-                yield (
-                    (place, kind),
-                    {key: term},
-                    label if isinstance(key, int) else f"of {key} {label}",
-                )
+                yield (place, kind), {key: term}, f"{of_place}{label}"
     for kind in (kind for wanted_place, kind in tried_pairs if wanted_place == GROWTH):
         for name, basis, of, label in _bases(kind, "", "", _NOTHING, data):
             term = Term(_identifier(GROWTH, name), basis, of=of, unit="1")
@@ -176,18 +162,15 @@ def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
     if not terms or {i: _what(term) for i, term in terms.items()} in by_amplitude.values():
         return leg
     name = _new_name(leg, next(iter(terms.values())).parameter)
-    named = {place: replace(term, parameter=name) for place, term in terms.items()}
-    sensors = tuple(
-        replace(sensor, terms=(*sensor.terms, named[i])) if i in named else sensor
-        for i, sensor in enumerate(leg.sensors)
-    )
-    of_parameters = tuple((place, term) for place, term in named.items() if isinstance(place, str))
-    return replace(
-        leg,
-        sensors=sensors,
-        terms=(*leg.terms, *of_parameters),
-        parameters=(*leg.parameters, (name, 0.0)),
-    )
+    sensors, of_parameters = list(leg.sensors), list(leg.terms)
+    for key, term in terms.items():
+        named = replace(term, parameter=name)
+        if isinstance(key, str):
+            of_parameters.append((key, named))
+        else:
+            sensors[key] = replace(sensors[key], terms=(*sensors[key].terms, named))
+    parameters = (*leg.parameters, (name, 0.0))
+    return replace(leg, sensors=tuple(sensors), terms=tuple(of_parameters), parameters=parameters)
 
 
 def _new_name(leg: Leg, name: str) -> str:
@@ -198,13 +181,7 @@ def _new_name(leg: Leg, name: str) -> str:
 
 
 def extended(calibration: Calibration, pairs: Sequence[Pair]) -> Calibration:
-    """Return a calibration of a mechanism with more terms; errors are those of ``with_terms``.
-
-    Growth of all lengths is one amplitude for all legs: they are tied.
-
-    Raises:
-        MeasurementError: a period that is not given.
-    """
+    """Return a calibration of a mechanism with more terms; amplitudes of growth are tied."""
     if unknown := [term_text(place, kind) for place, kind in pairs if kind == PERIOD]:
         raise MeasurementError(
             f"terms {unknown[0]!r}: a period is to be given, such as {unknown[0]}:5mm; 'pincal "
@@ -237,10 +214,7 @@ def _what(term: Term) -> tuple[object, ...]:
 def with_influences(
     mechanism: Mechanism, measurements: Measurements, kinds: Iterable[Kind]
 ) -> Measurements:
-    """Return measurements with the columns that terms of some kinds would depend on.
-
-    Sides of approach and loads follow from all rows in their order, which parts do not know.
-    """
+    """Return measurements with the columns that terms of some kinds would depend on."""
     asked_for = {OF_ONES_OWN[kind.name] for kind in kinds if kind.name in OF_ONES_OWN}
     names = {APPROACH: mechanism.reading_names, LOAD: mechanism.load_names}
     known = measurements.influences
@@ -252,8 +226,15 @@ def with_influences(
     )
     if not missing:
         return measurements
-    drawing = mechanism.drawing
-    following = replace(drawing, legs=tuple(_with_each(leg, missing) for leg in drawing.legs))
+    legs = []
+    for leg in mechanism.drawing.legs:  # whose every joint, length and angle follows them
+        following_leg = leg
+        for name in missing:
+            for place in [*range(len(leg.sensors)), *(leg.placed if name == LOAD else ())]:
+                term = Term(f"{name}_{place}", Share(), of=name)
+                following_leg = _with_amplitude(following_leg, {place: term})
+        legs.append(following_leg)
+    following = replace(mechanism.drawing, legs=tuple(legs))
     columns = planned_influences(following, replace(measurements, influences={}))
     return replace(measurements, influences={**by_name(following, columns), **known})
 
@@ -261,8 +242,7 @@ def with_influences(
 def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurements:
     """Return measurements of a calibration with the columns that terms of kinds would depend on.
 
-    Loads are those where the platform is, wherever it was measured from. Errors are those of
-    ``with_influences`` and ``located``.
+    Loads are those where the platform is, wherever it was measured from.
     """
     tried, data = list(kinds), calibration.measurements
     mechanism = weighed(calibration.mechanism, data, tried)
@@ -287,14 +267,6 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
         loads[owner] = arm * float(np.nanmax(np.abs(values), initial=0.0))
     least = _TRUE * max(loads.values())
     return {owner for owner, load in loads.items() if load <= least}
-
-
-def _with_each(leg: Leg, influences: Sequence[str]) -> Leg:
-    """Return a leg whose every joint, length and angle follows influences of its own."""
-    for influence in influences:
-        for place in [*range(len(leg.sensors)), *(leg.placed if influence == LOAD else ())]:
-            leg = _with_amplitude(leg, {place: Term(f"{influence}_{place}", Share(), of=influence)})
-    return leg
 
 
 def _range(values: Array) -> tuple[float, float]:

@@ -144,14 +144,10 @@ class Explanation:
 def choose(
     calibration: Calibration, pairs: Sequence[Pair], fits: Fits | None = None
 ) -> tuple[list[Model], int, list[Candidate], list[Slip], list[tuple[int, str]]]:
-    """Return which terms pay, of some kinds: the fields of an ``Explanation`` behind its result.
+    """Return which terms pay, of places and kinds: an ``Explanation``'s fields behind its result.
 
-    Rows whose ``set`` is ``verify`` have no part in the choice.
-
-    Args:
-        calibration: Of the mechanism, its measurements looked at (see ``started``).
-        pairs: Readings, lengths and angles, and kinds of term that they may lack.
-        fits: Its fits of all rows, if they are known.
+    Of a calibration that is ``started``, by its fits of all rows if they are known. Rows whose
+    ``set`` is ``verify`` have no part in the choice.
     """
     data = with_columns(calibration, [kind for _, kind in pairs])
     choosing_rows = np.flatnonzero(~data.verifying)

@@ -1,9 +1,7 @@
 """What a machine may lack, and where: kinds of term of readings, lengths and angles.
 
-Said as ``leg_1=harmonics:1,2``: a kind is ``harmonics:1,2``, ``period:5mm``, ``polynomial:2,3``,
-``backlash``, ``pulley``, ``gravity``, or the name of a column of the measurements, such as
-``temperature``. Its place is a reading, a length or angle by its id (``leg_1.l``) or its name in
-all legs (``l``), ``growth`` for all lengths as one, or, if none is said, every reading.
+Said as ``leg_1=harmonics:1,2``. A place is a reading, a length or angle by its id (``leg_1.l``) or
+its name in all legs (``l``), ``growth`` for all lengths as one, or, if none is said, every reading.
 """
 
 from __future__ import annotations
@@ -55,11 +53,7 @@ class Kind(str):
 
     @classmethod
     def of(cls, text: str) -> Kind:
-        """Return the kind that a text names, without numbers that are the usual ones.
-
-        Raises:
-            MeasurementError: numbers that are none, or that the kind does not have.
-        """
+        """Return the kind that a text names, without numbers that are the usual ones."""
         name, colon, numbers = (part.strip() for part in text.partition(":"))
         texts = [number.replace(" ", "") for number in numbers.split(",")] if colon else []
         values = tuple(_value(name, number) for number in texts)
@@ -102,10 +96,7 @@ def weighed(mechanism: Mechanism, measurements: Measurements, kinds: Sequence[Ki
     """Return a mechanism that weighs something if it is to have terms of gravity.
 
     1 kg on the platform, whose weight points down, where nothing is known of loads: what amplitudes
-    are times is in proportion to it.
-
-    Raises:
-        MeasurementError: nothing is known, and in the plane nobody knows where down is.
+    are times is in proportion to it. In the plane nobody knows where down is.
     """
     if GRAVITY not in kinds or loads_known(mechanism, measurements):
         return mechanism
@@ -127,15 +118,13 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
     """
     names = [HARMONICS] * ("rad" in mechanism.reading_units) + [POLYNOMIAL, BACKLASH, PERIOD]
     names += [GRAVITY] * (mechanism.platform.space == 3 or loads_known(mechanism, measurements))
-    columns = measurements.influences
-    names += [name for name in columns if name not in {*mechanism.followed, *_KINDS}]
-    kinds = [Kind.of(name) for name in dict.fromkeys(names)]
+    names += [n for n in measurements.influences if n not in {*mechanism.followed, *_KINDS}]
+    kinds, long = [Kind.of(name) for name in dict.fromkeys(names)], lengths(mechanism)
     every = [READINGS] * (len(mechanism.reading_names) > 1)
     pairs = [(name, kind) for kind in kinds for name in (*mechanism.reading_names, *every)]
     names = cables(mechanism)
     every = [READINGS] * (1 < len(names) == len(mechanism.legs))
     pairs += [(name, Kind(PULLEY)) for name in (*names, *every)]
-    long = lengths(mechanism)
     for kind in kinds:
         if kind.name == GRAVITY:
             pairs += [(place, kind) for place in _with_names(_of_links(mechanism))]
@@ -170,8 +159,8 @@ def parts_of(place: str, mechanism: Mechanism) -> list[str]:
 
 def lengths(mechanism: Mechanism) -> list[str]:
     """Return the ids of the lengths of a mechanism, those that are not zero."""
-    named = [p for p in mechanism.parameters if p.id in mechanism.load_names]
-    return [p.id for p in named if p.unit == "m" and p.nominal]
+    names = mechanism.load_names
+    return [p.id for p in mechanism.parameters if p.id in names and p.unit == "m" and p.nominal]
 
 
 def _of_links(mechanism: Mechanism) -> list[str]:
@@ -185,17 +174,13 @@ def _of_links(mechanism: Mechanism) -> list[str]:
 
 
 def parse_terms(terms: Sequence[str], mechanism: Mechanism) -> list[Pair]:
-    """Return places and kinds that texts name: ``backlash`` of all, ``leg_1=backlash`` of one.
-
-    Several places that one text names are there one by one, and together.
-    """
+    """Return places and kinds that texts name; several that one names one by one, and together."""
     pairs = []
-    for text in terms:
-        place, kind = _parts(text)
+    for place, kind in map(_parts, terms):
         single_places = parts_of(place, mechanism)
         for single in single_places:
             check_place(single, kind, mechanism)
-        pairs += [(single, kind) for single in single_places]
+            pairs.append((single, kind))
         pairs += [(place, kind)] * (len(single_places) > 1)
     return pairs
 
@@ -206,11 +191,7 @@ def term_text(place: str, kind: Kind) -> str:
 
 
 def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
-    """Raise if there is no such place, or it cannot have a kind of term.
-
-    Raises:
-        MeasurementError: naming both, and what is expected.
-    """
+    """Raise a MeasurementError if there is no such place, or it cannot have a kind of term."""
     readings, ids = mechanism.reading_names, mechanism.load_names
     problem = ""
     if place not in (*ids, GROWTH):

@@ -1,9 +1,8 @@
 """What a model lacks: all terms that there may be, each tried against residuals without a fit.
 
-A term is a parameter at zero, and its score test is its column: with M the projection on what the
-fit does not take up and W the white rows of the amplitudes, the share of χ² that lies in M W is,
-if the machine has no such term, one like any other (C. R. Rao 1948; an F test, since the scale
-of the rest is taken from the residuals). One step gives the amplitudes: a = −(Wᵀ M W)⁻¹ Wᵀ M r.
+A term is a parameter at zero: with M the projection on what the fit does not take up and W the
+white rows of its amplitudes, the share of χ² in M W is, if the machine has no such term, one like
+any other (C. R. Rao 1948; an F test). One step gives the amplitudes: a = −(Wᵀ M W)⁻¹ Wᵀ M r.
 
 Of an unknown period sine and cosine are tried over a grid: a periodogram (N. R. Lomb 1976, J. D.
 Scargle 1982) of what parameters leave of a reading's error. The chance of its highest peak counts
