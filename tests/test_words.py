@@ -234,6 +234,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
 CLAUSES: dict[str, tuple[dict[str, Any], str]] = {
     "sign-of-readings": ({"legs": ("leg_1",)}, "the readings of leg_1 have the opposite sign"),
     "sign-of-column": ({"column": "a"}, "a has the opposite sign"),
+    "slip": ({"quantity": "reading of leg_1"}, "the reading of leg_1 alone is wrong"),
     "columns-exchanged": ({"columns": ("a", "b")}, "a and b are swapped"),
     "legs-exchanged": ({"order": (("leg_1", "leg_2"), ("leg_2", "leg_1"))}, "legs are swapped: column leg_2 fits leg_1 and column leg_1 fits leg_2"),
     "unit": ({"units": (("positions", "m", "mm"), ("readings", "rad", "deg"))}, "the positions are in mm under a metre header (1000 times too large) and the readings are in degrees under a radian header (57.3 times too large)"),
