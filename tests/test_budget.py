@@ -15,23 +15,23 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 624,
-    "calibration": 6_822,
+    "calibration": 6_806,
     "cli": 2_962,
-    "design": 2_330,
+    "design": 2_304,
     "estimation": 5_028,
     "files": 3_444,
     "formats": 3_679,
     "instruments": 1_574,
     "kinematics": 3_484,
     "model": 3_658,
-    "show": 4_590,
+    "show": 4_586,
     "symmetry": 1_462,
     "words": 1_015,
-    "workspace": 1_622,
+    "workspace": 1_611,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 185,
+    "files": 184,
     "page lines": 932,
     "largest folder": 16,
     "vague names": 0.01,

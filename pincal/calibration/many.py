@@ -203,11 +203,7 @@ class MonteCarlo:
         }
 
     def row(self, machine: int) -> Row:
-        """Return the row of a machine, which its number alone determines.
-
-        Raises:
-            PincalError: it cannot be measured, or calibrated.
-        """
+        """Return the row of a machine, which its number alone determines."""
         seeds = np.random.SeedSequence(self.seed, spawn_key=(machine,)).spawn(2)
         drawn, noisy = map(np.random.default_rng, seeds)
         truth = disturb(self.mechanism, self.sigmas, drawn)

@@ -7,7 +7,7 @@ first row on:
     check    χ² = rᵀ (s² (1 + J C Jᵀ))⁻¹ r    a row r against its prediction by a fit without it,
     enough   the limit that ``pincal.calibrate`` promises of these rows, priors apart,
 
-and what is next is ``pincal.design.next_pose``'s.
+and what is next is ``pincal.design.order``'s.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pincal.calibration.hypotheses.judging import AS_MEASURED, Case, Hypothesis
 from pincal.calibration.options import Options, Tolerance
 from pincal.calibration.promise import errors_inside
 from pincal.calibration.result import CalibrationResult
-from pincal.design.next_pose import Candidates
+from pincal.design.order import Candidates
 from pincal.design.platform_error import PlatformError
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.observability.indices import plausible_changes
@@ -118,13 +118,7 @@ class Session:
     def __init__(
         self, folder: Path, mechanism: Mechanism, plan: Plan, options: SessionOptions
     ) -> None:
-        """Open a session, new or as it was left, of poses to choose from.
-
-        Raises:
-            FileError: the folder is open elsewhere, or cannot be written.
-            MeasurementError: options that do not suit, a plan out of reach, or rows that are not of
-                this mechanism.
-        """
+        """Open a session, new or as it was left, of poses to choose from."""
         setup = options.setup.of_rows(plan.contacts)
         if plan.readings is None:
             plan = replace(plan, readings=inverse(mechanism, plan.poses).readings)
@@ -237,7 +231,6 @@ class Session:
 
         Raises:
             MeasurementError: a cell that is no number, or nothing measured; nothing is recorded.
-            FileError: the row cannot be written; nothing is recorded.
         """
         row = self.next_pose()[0] if row is None else row
         if not 0 <= row < len(self.plan):
@@ -273,12 +266,7 @@ class Session:
         self._judge(self._read(), keep=True)
 
     def undo(self, row: int = -1) -> None:
-        """Take a row back, the last if none is named.
-
-        Raises:
-            MeasurementError: there is no such row.
-            FileError: it cannot be written.
-        """
+        """Take a row back, the last if none is named."""
         self.journal.undo(row)
         self._restart()
 

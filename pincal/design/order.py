@@ -1,50 +1,47 @@
-"""Plans in the order in which they are measured, with poses measured again, and some to verify."""
+"""In which order poses are measured: in rounds of short ways, or beside the robot the best next.
+
+A plan that is driven blind is driven in rounds, so that what drifts is no error of one leg. Beside
+the robot the next row is that which says most: the information of priors and of the rows that were
+measured is M = diag(σ⁻²) + Σ Aⱼᵀ Aⱼ, with rows of forecasts by the nominal mechanism, so that no
+measured number has a say.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.special import chdtri
 
+from pincal.blas import one_thread
+from pincal.design.forecast import forecast, information_rows, touching
+from pincal.design.optimal import DETERMINANT, inverse_roots
+from pincal.design.platform_error import CONFIDENCE, seen_of
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.kinematics.configurations import as_plan, inverse, joints_at, planned_influences
+from pincal.kinematics.configurations import (
+    as_plan,
+    inverse,
+    joints_at,
+    legs_at,
+    planned_influences,
+)
 from pincal.model.checks import count_of
-from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
+from pincal.model.measurements import EVERY_LEG, VERIFY, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.relations import ROW, TO
+from pincal.model.setup import Setup
 from pincal.types import Array, Mask
-
-
-def with_distances(plan: Plan, count: int) -> Plan:
-    """Return a plan whose rows, called 1, 2, …, are each measured from so many others.
-
-    Rows far from each other in the plan and near ones alike, no pair twice, and none of one pose
-    that is measured again.
-
-    Raises:
-        ObservabilityError: there are not as many others.
-    """
-    rows = len(plan)
-    if 2 * count > rows - 1:
-        raise ObservabilityError(
-            f"{rows} poses have at most {(rows - 1) // 2} distances each, no pair measured twice; "
-            f"{count} were asked for"
-        )
-    names = tuple(str(1 + row) for row in range(rows))
-    steps = np.linspace(1, (rows - 1) // 2, count).round().astype(int).tolist()
-    places, columns = plan.places or ("",) * rows, {}
-    for slot, step in enumerate(steps, start=1):
-        leads = zip(names[step:] + names[:step], places[step:] + places[:step], places, strict=True)
-        columns[f"distance_{slot}{TO}"] = tuple(
-            "" if place and place == other else name for name, other, place in leads
-        )
-    return replace(plan, contacts={**plan.contacts, ROW: names, **columns}) if count else plan
-
+from pincal.workspace.sampling import sample_configurations
 
 REFERENCE = "reference"
 """Name of the pose that is measured again and again."""
 _ROUND = 8  # rows that a round has at least
 _BLOCKED = 1e3  # length of a way that must not be driven
+_WORKSPACE, _SEED = 200, 1  # configurations over which errors are stated
+_FAR = 10.0  # sizes of the machine, or rad, within which frames are sought
+_COURSE = 100  # poses that are looked ahead, at most
 
 
 def in_rounds(
@@ -58,9 +55,8 @@ def in_rounds(
     """Return a plan in the order in which it is driven, with a reference pose between.
 
     Each round has a random share of every set, and goes round it by a short way, from the pose in
-    the middle (least sum of squared ways to the others) and back to it. What drifts slowly is then
-    no error of one leg or one region. Rows of the middle pose have the name ``reference``, and
-    differ by noise and by what drifts.
+    the middle (least sum of squared ways to the others) and back to it. Rows of the middle pose
+    have the name ``reference``, and differ by noise and by what drifts.
 
     Args:
         mechanism: The mechanism.
@@ -111,22 +107,15 @@ def in_rounds(
 
 
 def _ways(mechanism: Mechanism, plan: Plan) -> Array:
-    """Return the lengths of ways between rows, shape (N, N).
-
-    What the drive that moves most moves of its span, and the platform of its longest way.
-    """
+    """Return lengths of ways between rows, (N, N): the platform's, and the most moved drive's."""
     readings = plan.readings
     if readings is None:
         readings = inverse(mechanism, plan.poses, planned_influences(mechanism, plan)).readings
-    positions = plan.poses[:, : mechanism.platform.lengths]
-    ways = np.zeros((len(plan), len(plan)))
-    for column in positions.T:
-        ways += (column[:, None] - column) ** 2
-    ways = np.sqrt(ways / (ways.max(initial=0.0) or 1.0))
-    driven = np.zeros_like(ways)
-    for column in np.nan_to_num(readings).T:
-        np.maximum(driven, np.abs(column[:, None] - column) / (np.ptp(column) or 1.0), out=driven)
-    return ways + driven
+    positions, driven = plan.poses[:, : mechanism.platform.lengths], np.nan_to_num(readings)
+    spans = np.ptp(driven, axis=0)
+    driven = driven / np.where(spans > 0.0, spans, 1.0)
+    ways = cdist(positions, positions) if positions.size else np.zeros((len(plan), len(plan)))
+    return np.asarray(ways / (ways.max() or 1.0) + cdist(driven, driven, "chebyshev"))
 
 
 def _way_round(ways: Array) -> Array:
@@ -153,6 +142,32 @@ def _way_round(ways: Array) -> Array:
     return order
 
 
+def with_distances(plan: Plan, count: int) -> Plan:
+    """Return a plan whose rows, called 1, 2, …, are each measured from so many others.
+
+    Rows far from each other in the plan and near ones alike, no pair twice, and none of one pose
+    that is measured again.
+
+    Raises:
+        ObservabilityError: there are not as many others.
+    """
+    rows = len(plan)
+    if 2 * count > rows - 1:
+        raise ObservabilityError(
+            f"{rows} poses have at most {(rows - 1) // 2} distances each, no pair measured twice; "
+            f"{count} were asked for"
+        )
+    names = tuple(str(1 + row) for row in range(rows))
+    steps = np.linspace(1, (rows - 1) // 2, count).round().astype(int).tolist()
+    places, columns = plan.places or ("",) * rows, {}
+    for slot, step in enumerate(steps, start=1):
+        leads = zip(names[step:] + names[:step], places[step:] + places[:step], places, strict=True)
+        columns[f"distance_{slot}{TO}"] = tuple(
+            "" if place and place == other else name for name, other, place in leads
+        )
+    return replace(plan, contacts={**plan.contacts, ROW: names, **columns}) if count else plan
+
+
 def with_verification(
     mechanism: Mechanism, plan: Plan, offered: Plan, count: int, seed: int = 0
 ) -> Plan:
@@ -163,18 +178,16 @@ def with_verification(
     Raises:
         ObservabilityError: fewer are in reach.
     """
-    offered = as_plan(mechanism, offered)
-    taken = {pose.tobytes() for pose in plan.poses}
-    free = np.array([pose.tobytes() not in taken for pose in offered.poses], dtype=bool)
-    rows = np.random.default_rng(seed).permutation(np.flatnonzero(free))
-    reached = joints_at(mechanism, offered.rows(rows)).reached.all(axis=1)
-    chosen = offered.rows(rows[reached][:count])
+    offered, taken = as_plan(mechanism, offered), {pose.tobytes() for pose in plan.poses}
+    free = [row for row, pose in enumerate(offered.poses) if pose.tobytes() not in taken]
+    rows = np.random.default_rng(seed).permutation(np.array(free, dtype=np.intp))
+    chosen = offered.rows(rows[joints_at(mechanism, offered.rows(rows)).reached.all(axis=1)])
     if len(chosen) < count:
         raise ObservabilityError(
             f"{len(chosen)} poses are left to verify with, of {count} that were asked for; offer "
             "more candidates, or ask for fewer"
         )
-    readings = None
+    chosen, readings = chosen.rows(np.arange(count)), None
     if plan.readings is not None and chosen.readings is not None:
         readings = np.concatenate((plan.readings, chosen.readings))
     return Plan(
@@ -184,3 +197,97 @@ def with_verification(
         places=None if plan.places is None else (*plan.places, *("",) * count),
         contacts={name: names + chosen.contacts[name] for name, names in plan.contacts.items()},
     )
+
+
+class Candidates:
+    """Rows of a plan: which are offered, what they say of the unknowns and of the platform."""
+
+    offered: Mask
+    """Rows in reach that a fit follows, shape (N,)."""
+    rows: Array
+    """White rows of the plan, zero where not offered, shape (N, k, n)."""
+    spread: Array
+    """σ of what is known of each unknown beforehand, shape (n,)."""
+    workspace: Plan
+    """Configurations over which errors are stated."""
+
+    @one_thread()
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        plan: Plan,
+        noise: Noise,
+        measured: Sequence[str] | None,
+        setup: Setup,
+        priors: Mapping[str, float],
+    ) -> None:
+        """Look at a plan by the nominal mechanism, whose parameters are known to ± priors by id.
+
+        What is measured, and what it means, is said as to ``forecast``.
+        """
+        legs = legs_at(mechanism, touching(mechanism, plan, setup))
+        frames = forecast(mechanism, plan, noise, measured, setup).frames
+        white, _, unknowns, _ = information_rows(mechanism, legs, noise, measured, setup)
+        self.offered = legs.reached & ~plan.verifying
+        self.rows = np.zeros((len(plan), *white.shape[1:]))
+        self.rows[legs.reached] = white * self.offered[legs.reached, None, None]
+        far = _FAR * max(mechanism.size, 1.0)
+        self.spread = np.array([priors.get(name, far) for name in unknowns])
+        self.workspace = sample_configurations(mechanism, _WORKSPACE, _SEED)
+        legs = legs_at(mechanism, self.workspace)
+        gain, units = seen_of(mechanism, legs.poses, legs.gain, frames)
+        gain = gain[np.isfinite(gain).all(axis=(1, 2))]
+        G = gain[:, [unit == units[0] for unit in units]].reshape(-1, gain.shape[2])
+        half = np.asarray(np.linalg.qr(G / np.sqrt(len(gain)), mode="r")).T
+        unmoving = len(unknowns) - len(half)
+        self._moved = np.pad(half, ((0, unmoving), (0, 0)))  # C: tr Cᵀ M⁻¹ C is a mean square
+
+    def information(self, measured: Sequence[int]) -> Array:
+        """Return M of priors and rows of the plan, shape (n, n)."""
+        flat = self.rows[list(measured)].reshape(-1, self.rows.shape[2])
+        return np.diag(self.spread**-2.0) + flat.T @ flat
+
+    @one_thread()
+    def limit(self, measured: Sequence[int]) -> float:
+        """Return below which the platform's position error is in 95 of 100 machines, [m].
+
+        Root mean square over the workspace, [rad] of a platform that only turns. Its square is a
+        weighted sum of squares, with the quantile of the χ² of its mean and variance
+        (Satterthwaite 1946).
+        """
+        half = inverse_roots(self.information(measured)[None])[0].T @ self._moved
+        weights = np.linalg.eigvalsh(half.T @ half).clip(0.0)
+        freedoms = weights.sum() ** 2 / (weights**2).sum()
+        return float(np.sqrt(weights.sum() * chdtri(freedoms, 1.0 - CONFIDENCE) / freedoms))
+
+    @one_thread()
+    def best(self, measured: Sequence[int]) -> tuple[int, float]:
+        """Return the row of the plan to measure next, and by what share errors then fall.
+
+        By no other do they fall by more, in the geometric mean of all unknowns. Rows that were
+        measured come again when no other is left.
+
+        Raises:
+            MeasurementError: no row is offered.
+        """
+        fresh = self.fresh(measured)
+        places = np.flatnonzero(fresh if fresh.any() else self.offered)
+        if not len(places):
+            raise MeasurementError("no pose of the plan is in reach; give another plan")
+        root = inverse_roots(self.information(measured)[None])
+        gains = DETERMINANT.gain(self.rows[places], root)[0]
+        falls = -np.expm1(-gains.max() / (2 * self.rows.shape[2]))
+        return int(places[gains.argmax()]), float(falls)
+
+    def fresh(self, measured: Sequence[int]) -> Mask:
+        """Return which rows are offered and were not measured, shape (N,)."""
+        fresh = self.offered.copy()
+        fresh[list(measured)] = False
+        return fresh
+
+    def course(self) -> list[int]:
+        """Return rows of the plan in the order in which they will be chosen, 100 at most."""
+        measured: list[int] = []
+        while len(measured) < _COURSE and self.fresh(measured).any():
+            measured.append(self.best(measured)[0])
+        return measured

@@ -112,10 +112,6 @@ def obeyed(session: Session, line: str, row: int, pattern: str | None = None) ->
 
     ``u`` undoes the last row, ``u 3`` row 3; ``k`` keeps the last; ``s`` skips the pose, ``r 12``
     goes to pose 12 of the plan; all else was measured there.
-
-    Raises:
-        MeasurementError: it is no measurement.
-        FileError: it cannot be written.
     """
     match line.split():
         case ["u", *number] if all(map(str.isdecimal, number)) and len(number) < 2:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -78,17 +77,19 @@ class Limits:
                 low, high = np.array([_ranges(text, _SPACE).get(n, _ANY) for n in "xyz"]).T
                 bodies.append((np.vstack((np.eye(3), -np.eye(3))), np.append(high, -low)))
             else:
-                planes = _hull(Path(text))
+                try:
+                    mesh: Any = trimesh.load(text, force="mesh", process=False)
+                    planes = ConvexHull(np.asarray(mesh.vertices)).equations
+                except Exception as error:  # whatever readers of meshes raise
+                    raise FileError(
+                        f"--keep-out {text}: neither a box, such as 'x=0.2..0.5, y=0..1', nor a "
+                        f"mesh that has an inside: {str(error).strip().partition(chr(10))[0]}"
+                    ) from error
                 bodies.append((planes[:, :3], -planes[:, 3]))
         return [(A, b + self.clearance) for A, b in bodies]
 
     def allow(self, mechanism: Mechanism, offered: Plan, setup: Setup) -> Mask:
-        """Return which configurations are within the limits, shape (N,).
-
-        Raises:
-            MeasurementError: a range of no coordinate.
-            FileError: a mesh that cannot be read.
-        """
+        """Return which configurations are within the limits, shape (N,)."""
         platform, within = mechanism.platform, np.ones(len(offered), dtype=bool)
         ranges = _ranges(self.box, dict(zip(platform.coordinates, platform.units, strict=True)))
         for name, (low, high) in ranges.items():
@@ -146,15 +147,3 @@ def _ranges(text: str, units: Mapping[str, str]) -> dict[str, tuple[float, float
         if not ranges[name][0] < ranges[name][1]:
             raise MeasurementError(f"{part!r}: the lower end comes first")
     return ranges
-
-
-def _hull(path: Path) -> Array:
-    """Return the planes of a mesh's convex hull, normals outward and offsets, shape (k, 4)."""
-    try:
-        mesh: Any = trimesh.load(path, force="mesh", process=False)
-        return np.asarray(ConvexHull(np.asarray(mesh.vertices)).equations)
-    except Exception as error:  # whatever readers of meshes raise
-        raise FileError(
-            f"--keep-out {path}: neither a box, such as 'x=0.2..0.5, y=0..1', nor a mesh that has "
-            f"an inside: {str(error).strip().partition(chr(10))[0]}"
-        ) from error
