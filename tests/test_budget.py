@@ -21,7 +21,7 @@ LINES = {
     "estimation": 5_028,
     "files": 3_444,
     "formats": 3_679,
-    "instruments": 1_574,
+    "instruments": 1_579,
     "kinematics": 3_484,
     "model": 3_658,
     "show": 4_586,

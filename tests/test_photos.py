@@ -177,14 +177,20 @@ def test_two_boards_in_one_photo_share_no_marker(tmp_path: Path) -> None:
     assert set(pd.read_csv(out)["point"]) == {f"p_{i}" for i in range(30)}
 
 
-@pytest.mark.parametrize("text", [b"", b"\xff\xd8\xff\xe0 no picture", b"GIF89a"])
-def test_what_is_no_photo_is_refused(text: bytes, tmp_path: Path) -> None:
-    """Files that are no pictures are named."""
+CUT_OFF = cv2.imencode(".png", np.arange(6400, dtype=np.uint16).reshape(80, 80))[1].tobytes()[:-60]
+
+
+@pytest.mark.parametrize("text", [b"", b"\xff\xd8\xff\xe0 no picture", b"GIF89a", CUT_OFF])
+def test_what_is_no_photo_is_refused(
+    text: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Files that are no pictures are named, and nothing else is printed of them."""
     (tmp_path / "b.yaml").write_text(CHARUCO.yaml())
     (tmp_path / "a.jpg").write_bytes(text)
     outcome = run("detect", tmp_path / "b.yaml", tmp_path / "a.jpg", "-o", tmp_path / "c.csv")
     assert outcome.code == 2
     assert "a.jpg is no picture that can be read" in outcome.trouble
+    assert capfd.readouterr().err == ""
     assert not (tmp_path / "c.csv").exists()
 
 

@@ -35,7 +35,7 @@ pincal.estimation.observability.indices.Indices
 pincal.finding.Finding
 pincal.kinematics.forward.ForwardSolution
 pincal.kinematics.configurations.InverseSolution
-pincal.show.pictures.picture.Picture
+pincal.show.picture.Picture
 pincal.show.view.view.View
 pincal.symmetry.detect.SymmetryGroup
 pincal.words.table.Table

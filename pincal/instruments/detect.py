@@ -87,6 +87,11 @@ def read_photo(path: Path) -> tuple[Array, datetime | None]:
     """
     marker_dictionary("4X4_50")  # is OpenCV there?
     data = np.frombuffer(read_bytes(path, _LARGEST, MeasurementError), np.uint8)
+    try:  # OpenCV would print what its libraries say of a damaged file
+        with Picture.open(path) as file:
+            file.verify()
+    except (OSError, ValueError, SyntaxError):
+        data = data[:0]
     kind = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     picture = cv2.imdecode(data, kind) if len(data) else None
     if picture is None:

@@ -166,7 +166,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
     have nothing to show.
     """
     result, errors = report.result, report.errors
-    measured = ("measured", "What was measured, and how well", _measured(result), _poses(result))
+    measured = ("measured", "What was measured, and how well", _poses(result), _measured(result))
     libraries = ", ".join(f"{name} {version(name)}" for name in ("pin", "numpy", "scipy"))
     reproduction = (
         "reproduction",
