@@ -388,7 +388,7 @@ def test_poses_that_differ_by_their_noise_only_are_refused(shake: float, known: 
     noise = pincal.Noise(shake, shake) if known else None
     with pytest.raises(
         pincal.ObservabilityError,
-        match=r"leg_1\.(OA|ob).* (apart by their noise|weakly determined)",
+        match=r"leg_1\.(OA|ob).* weakly determined",
     ):
         pincal.calibrate(mechanism, data, noise=noise, strict=True)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -230,8 +231,7 @@ def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array
     return F, q, (VQ, P, fit.normal.orthonormal(fit.unknowns.map).T)
 
 
-@dataclass(frozen=True)
-class Evidence:
+class Evidence(NamedTuple):
     """White rows at an optimum, and deviations of groups from nominal values."""
 
     triangle: Array

@@ -157,8 +157,7 @@ def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> No
     if setup.tracker is None:
         return
     level = mechanism.platform.space == 2 and setup.tracker.at[2] == 0.0
-    needed = [name for name in POLAR if not level or name != "elevation"]
-    for name in needed:
+    for name in POLAR[: 2 if level else 3]:
         if not getattr(setup.tracker, name):
             raise MeasurementError(
                 f"nothing says how well the tracker measures the {name}; add {name!r} to the "
@@ -235,7 +234,13 @@ def _noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, 
     readings are equal to the last digit. Values that are equal say nothing about their noise:
     readings are exact then, and poses that repeat at their resolution leave it to the residuals.
     """
-    several = _repeated_rows(data)
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    complete = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
+    for row in np.flatnonzero(complete).tolist():
+        name = data.readings[row].tobytes() if data.places is None else data.places[row]
+        if name:  # a row without a name is a place of its own
+            groups[None if data.runs is None else data.runs[row], name].append(row)
+    several = [np.array(rows) for rows in groups.values() if len(rows) > 1]
     dof = sum(len(rows) - 1 for rows in several)
     if dof < _ENOUGH:
         return None
@@ -253,17 +258,6 @@ def _noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, 
     counts = ((~turns).sum(), turns.sum(), data.readings.shape[1] if reading else 0)
     p, o, r = (float(dof * n) if n else np.inf for n in counts)
     return noise, (p, o, r)
-
-
-def _repeated_rows(data: Measurements) -> list[Index]:
-    """Return rows that repeat each other, measured in full."""
-    groups: dict[Hashable, list[int]] = defaultdict(list)
-    complete = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
-    for row in np.flatnonzero(complete):
-        name = data.readings[row].tobytes() if data.places is None else data.places[row]
-        if name:  # a row without a name is a place of its own
-            groups[None if data.runs is None else data.runs[row], name].append(int(row))
-    return [np.array(rows) for rows in groups.values() if len(rows) > 1]
 
 
 def _variance(groups: list[Array]) -> float:
@@ -288,7 +282,7 @@ def row_noise(
 
     Names are freedoms of the platform, columns of the setup, and single angles.
     """
-    sigmas = _sigmas_by_name(names, data, setup, platform) | _of_marks(data, noise, setup, platform)
+    sigmas = _sigmas_by_name(names, data, noise, setup, platform)
     none = np.full(len(data), np.nan)
     general = [noise.of_unit(unit) for unit in units]
     sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
@@ -317,38 +311,33 @@ def row_noise(
 
 
 def _sigmas_by_name(
-    names: Sequence[str], data: Measurements, setup: Setup, platform: Platform
+    names: Sequence[str], data: Measurements, noise: Noise, setup: Setup, platform: Platform
 ) -> dict[str, Array]:
-    """Return each row's standard deviations by quantity, (N,); single angles' by those of turns."""
-    sigmas = dict(data.sigma_extra)
-    for name, size in setup.noises(platform).items():
-        sigma = sigmas.get(name, np.full(len(data), np.nan))
-        sigmas[name] = np.where(np.isfinite(sigma), sigma, size)
-    if data.sigma_poses is None:
-        return sigmas
-    by_freedom = dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
-    if platform.turns < 3:
-        return sigmas | by_freedom
-    turns = [name for name in platform.coordinates[platform.lengths :] if name in names]
-    middle = np.sqrt((data.sigma_poses[:, platform.lengths :] ** 2).mean(axis=1))
-    return dict.fromkeys((*turns, *SINGLE_ANGLES), middle) | sigmas | by_freedom
+    """Return each row's standard deviations by quantity, (N,); single angles' by those of turns.
 
-
-def _of_marks(
-    data: Measurements, noise: Noise, setup: Setup, platform: Platform
-) -> dict[str, Array]:
-    """Return the noise of distances between rows, (N,) each, a small share of it at the points.
-
-    Which rows mark: exact points beside exact readings would leave rows without noise.
+    Of a distance between rows a small share is of the point that a row marks, the rest its own:
+    exact points beside exact readings would leave rows without noise.
     """
-    usual = np.full(len(data), noise.position)
-    sigmas = {name: data.sigma_extra.get(name, usual) for name in setup.between}
-    marked = _MARKED * float(np.nanmin(np.concatenate([*sigmas.values(), [np.inf]])))
-    distances = {
-        name: np.sqrt(np.maximum(sigma**2 - marked**2, 0.0)) for name, sigma in sigmas.items()
-    }
-    axes = setup.contact_axes(platform).get(ROW, [])
-    return dict.fromkeys(axes, np.full(len(data), marked)) | distances
+    sigmas, none = dict(data.sigma_extra), np.full(len(data), np.nan)
+    for name, size in setup.noises(platform).items():
+        sigma = sigmas.get(name, none)
+        sigmas[name] = np.where(np.isfinite(sigma), sigma, size)
+    if data.sigma_poses is not None:
+        by_freedom = dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
+        if platform.turns == 3:
+            turns = [name for name in platform.coordinates[platform.lengths :] if name in names]
+            middle = np.sqrt((data.sigma_poses[:, platform.lengths :] ** 2).mean(axis=1))
+            sigmas = dict.fromkeys((*turns, *SINGLE_ANGLES), middle) | sigmas
+        sigmas |= by_freedom
+    if between := setup.between:
+        usual = np.full(len(data), noise.position)
+        distances = {name: data.sigma_extra.get(name, usual) for name in between}
+        marked = _MARKED * float(np.nanmin(np.concatenate([*distances.values(), [np.inf]])))
+        axes = setup.contact_axes(platform).get(ROW, [])
+        sigmas |= dict.fromkeys(axes, np.full(len(data), marked))
+        for name, sigma in distances.items():
+            sigmas[name] = np.sqrt(np.maximum(sigma**2 - marked**2, 0.0))
+    return sigmas
 
 
 def target_positions(platform: Platform, data: Measurements, target: str) -> Array:

@@ -291,11 +291,6 @@ class Linear:
         """The least noise that explains the conditions, standard deviations, shape (N, s)."""
         return -(self.white.by_noise.transpose(0, 2, 1) @ self.residuals[:, :, None])[:, :, 0]
 
-    @cached_property
-    def noise_by_parameter(self) -> Array:
-        """Its derivative, shape (N, s, n): rows that do not turn from state to state."""
-        return -(self.white.by_noise.transpose(0, 2, 1) @ self.jacobian)
-
 
 @dataclass(frozen=True)
 class Problem:

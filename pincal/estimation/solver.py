@@ -96,7 +96,7 @@ class Iterate:
     def limit(self, max_evaluations: int | None) -> int:
         """Return how many evaluations a search may take that has come here."""
         size = self.linear.residuals.size
-        near = max_evaluations is None and self.normal.decrement**2 * size <= self.cost
+        near = self.normal.decrement**2 * size <= self.cost
         limit = max_evaluations or _EVALUATIONS * (_LONGER if near else 1)
         return min(limit, _ASTRAY_EVALUATIONS) if self.cost > _FAR * size else limit
 
@@ -119,16 +119,18 @@ def search(
     while current.normal.decrement > _tolerance(system, current, enough):
         if evaluations >= current.limit(system.max_evaluations) or damping > _DAMPING[1]:
             break
-        _report(system, current, evaluations)
+        if system.progress and evaluations % 5 == 0:
+            deviation = np.sqrt(current.cost / len(current.weights))
+            system.progress(f"step {evaluations}: {deviation:.3g} σ a pose")
         # 1. A damped step of all unknowns; then each pose alone.
         step = current.normal.step(damping)
         trial, count = _reached(system, current, step, fixed_poses)
         evaluations += count
         if trial is not None and _better(system, current, trial, highest):
             # 2. Taken: less damping where the fall is as predicted.
-            damping, growth = damping * _change(system, current, trial, step), _GROWTH
-            damping = damping if damping > _DAMPING[0] else 0.0
-            at_end = current.blind and _at_end(current, trial)
+            factor, at_end = _judged(system, current, trial, step)
+            damping, growth = damping * factor, _GROWTH
+            damping *= damping > _DAMPING[0]  # none below the least
             current = trial
             if current.cost < 0.5 * cost_when_fixed:
                 fixed_poses, cost_when_fixed = unused, np.inf
@@ -200,13 +202,6 @@ def adjusted(linear: Linear) -> Linear:
     return at_adjusted
 
 
-def _report(system: System, current: Iterate, evaluations: int) -> None:
-    """Say how far a search is, now and then."""
-    if system.progress and evaluations % 5 == 0:
-        deviation = np.sqrt(current.cost / len(current.weights))
-        system.progress(f"step {evaluations}: {deviation:.3g} σ a pose")
-
-
 def _tolerance(system: System, current: Iterate, enough: float) -> float:
     """Return the distance from the optimum at which a search ends."""
     if system.adjusted:
@@ -231,17 +226,16 @@ def _better(system: System, current: Iterate, trial: Iterate, highest: float) ->
     return system.loss is not None or trial.cost <= highest
 
 
-def _change(system: System, current: Iterate, trial: Iterate, step: Array) -> float:
-    """Return the factor on the damping after a step, by its fall over the predicted one."""
+def _judged(system: System, current: Iterate, trial: Iterate, step: Array) -> tuple[float, bool]:
+    """Return the factor on the damping after a step, by its fall over the predicted one.
+
+    And whether nothing but rounding is left to gain by steps that the cost is blind to.
+    """
     cost = min(system.cost(trial.judged, current.weights, current.judged), trial.cost)
     gain = (current.cost - cost) / max(current.normal.fall(step), 1e-300)
-    return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0
-
-
-def _at_end(current: Iterate, trial: Iterate) -> bool:
-    """Return whether nothing but rounding is left to gain by steps that the cost is blind to."""
     before, after = current.normal.decrement, trial.normal.decrement
-    return after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
+    stays = after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
+    return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0, current.blind and stays
 
 
 def _reached(
@@ -253,9 +247,8 @@ def _reached(
     """
     try:
         with np.errstate(all="ignore"):
-            state = current.linear.moved(system.unknowns.map @ step)
-            fixed = fixed_poses[:, None, None]
-            matrices = np.where(fixed, current.linear.state.matrices, state.matrices)
+            state, before = current.linear.moved(system.unknowns.map @ step), current.linear.state
+            matrices = np.where(fixed_poses[:, None, None], before.matrices, state.matrices)
             state = replace(state, matrices=matrices)
             trial, count = solve_poses(system.problem.evaluate(state), fixed_poses)
             finite = np.isfinite(trial.residuals).all() and np.isfinite(trial.by_parameter).all()

@@ -47,9 +47,9 @@ def triple(values: Iterable[float]) -> str:
     return f"({', '.join(f'{value:.4g}' for value in values)})"
 
 
-def counted(count: int, singular: str, plural: str = "") -> str:
+def counted(count: int, singular: str) -> str:
     """Return a number of things: ``1 row``, ``2 rows``."""
-    return f"{count} {singular if count == 1 else plural or singular + 's'}"
+    return f"{count} {singular}" + "s" * (count != 1)
 
 
 def listed(names: Iterable[str], limit: int = 6) -> str:

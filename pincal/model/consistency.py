@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from pincal.errors import MechanismError
 from pincal.model.checks import EXACT, LARGEST
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.platform import TWIST
-from pincal.model.terms import APPROACH, Term
+from pincal.model.terms import APPROACH
 
 if TYPE_CHECKING:
     from pincal.model.joint import Joint
@@ -146,8 +146,31 @@ def _term_faults(leg: Leg) -> Iterator[str]:
         for term in sensor.terms
     ]
     for name, term in leg.terms:
-        if fault := _fault_of_growth(name, term, constants, leg.placed):
-            yield f"term {term.parameter!r} of parameter {name!r}{fault}"
+        of_placement = name in leg.placed
+        for wrong, fault in (
+            (
+                name in constants and not of_placement,
+                ": that is the sensor's, whose position terms are added to as it is; give the term "
+                "to the sensor (sensors: terms)",
+            ),
+            (
+                not of_placement,
+                ": no placement has such a parameter; expected one of "
+                f"{', '.join(leg.placed) or 'none'}",
+            ),
+            (
+                not term.of,
+                " depends on a reading; a parameter's depends on an influence: of a column such as "
+                "'temperature', or of 'load'",
+            ),
+            (
+                term.of == APPROACH,
+                " depends on the side of approach, which is a joint's; give the term to a sensor, "
+                "or name a column of your own",
+            ),
+        ):
+            if wrong:
+                yield f"term {term.parameter!r} of parameter {name!r}{fault}"
         owners.append((f"parameter {name!r}", term, term.unit or leg.placed[name]))
     units: dict[str, str] = {}
     for owner, term, unit in owners:
@@ -161,30 +184,6 @@ def _term_faults(leg: Leg) -> Iterator[str]:
             )
 
 
-def _fault_of_growth(
-    name: str, term: Term, constants: Collection[object], placed: Collection[str]
-) -> str:
-    """Return why a parameter cannot have a term; empty if it can."""
-    if name in constants and name not in placed:
-        return (
-            ": that is the sensor's, whose position terms are added to as it is; give the term to "
-            "the sensor (sensors: terms)"
-        )
-    if name not in placed:
-        return f": no placement has such a parameter; expected one of {', '.join(placed) or 'none'}"
-    if not term.of:
-        return (
-            " depends on a reading; a parameter's depends on an influence: of a column such as "
-            "'temperature', or of 'load'"
-        )
-    if term.of == APPROACH:
-        return (
-            " depends on the side of approach, which is a joint's; give the term to a sensor, or "
-            "name a column of your own"
-        )
-    return ""
-
-
 def check_mechanism(mechanism: Mechanism) -> None:
     """Raise MechanismError if the legs, their names and what weighs on them do not go together."""
     title = mechanism.name
@@ -192,7 +191,7 @@ def check_mechanism(mechanism: Mechanism) -> None:
         raise MechanismError(f"{title!r} is no name for a mechanism")
     for fault in _name_faults(mechanism):
         raise MechanismError(f"mechanism {title!r}: {fault}")
-    for fault in chain(_cable_faults(mechanism), _leg_faults(mechanism)):
+    for fault in _leg_faults(mechanism):
         raise MechanismError(fault)
 
 
@@ -232,17 +231,12 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
         yield f"the load's drawing has {unknown[0]!r}, which is no parameter"
 
 
-def _cable_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield which leg has tensions and is no cable."""
-    for leg in mechanism.legs if mechanism.cables else ():
-        if (leg.reading_units, leg.closes) != (("m",), "point"):
-            yield f"tensions are of cables, and {leg.name} is none; expected a line that is read"
-
-
 def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield which legs share a point that is not one, demand nothing, or leave the plane."""
+    """Yield which legs are no cables, share a point that is not one, demand nothing, or tilt."""
     points: dict[str, tuple[Leg, Joint]] = {}
     for leg in mechanism.legs:
+        if mechanism.cables and (leg.reading_units, leg.closes) != (("m",), "point"):
+            yield f"tensions are of cables, and {leg.name} is none; expected a line that is read"
         for point in leg.points:
             sharing, first = points.setdefault(point.name, (leg, point))
             placement = point.placement

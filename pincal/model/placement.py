@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import cos, sin
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,8 +38,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """One elementary displacement: ``sign * value`` along (x, y, z) or about (rx, ry, rz)."""
 
     axis: str

@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.model.checks import count_of, number_of
-from pincal.types import Array
+from pincal.types import Array, Point
 
 APPROACH = "approach"
 LOAD = "load"
@@ -182,9 +182,6 @@ class Term:
         return self.slope is None and isinstance(self.basis, Harmonic | Power | Share)
 
 
-Triple = tuple[float, float, float]
-
-
 @dataclass(frozen=True)
 class Cables:
     """Limits between which the tension of every cable stays: cables only pull.
@@ -221,9 +218,9 @@ class Load:
 
     mass: float = 0.0
     """Of platform and payload, [kg]."""
-    centre: Triple = (0.0, 0.0, 0.0)
+    centre: Point = (0.0, 0.0, 0.0)
     """Of that mass, in the platform's frame, [m]."""
-    gravity: Triple = (0.0, 0.0, -9.81)
+    gravity: Point = (0.0, 0.0, -9.81)
     """Acceleration in the base's frame, [m/s²]."""
     drawn: tuple[tuple[str, float], ...] = ()
     """Parameters of the machine whose loads these are, by id: those of the drawing, so that loads

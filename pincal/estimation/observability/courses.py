@@ -8,9 +8,9 @@ probability that so much is found anywhere if nothing is there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -31,8 +31,7 @@ ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
 What = Literal["frame", "target", "orientation", "reading"]
 
 
-@dataclass(frozen=True)
-class Score:
+class Score(NamedTuple):
     """One test: which quantity, which course, and how probable by chance."""
 
     quantity: str
@@ -90,35 +89,26 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
     Also whether what was measured at poses again and again moved with time, by their rows among
     those of the fit.
     """
-    if not _testable(fit):
+    if fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
         return []
-    residuals, n = Residuals.of(fit), fit.problem.leg_block.n_readings
+    residuals, results = Residuals.of(fit), list[Score]()
     used, errors = residuals.used, errors_of(fit, residuals.used)
-    moved, axes = _of_frame(fit, errors)
-    time = np.linspace(-1.0, 1.0, len(used))[:, None]
-    courses = {"order": [time] * len(errors), **_of_readings(fit, used)}
-    tests = [
-        *_course_tests(errors, n, courses),
-        (LENGTHS, "order", _grown(fit, used) * time[:, None]),
-    ]
-    if len(axes) > 1:
-        tests.append((FRAME, "order", moved * time[:, None]))
+    kinds, of_kind = _kinds(fit, errors)
+    tests = list(_course_tests(fit, errors, used))
     chances = residuals.chances([rows for *_, rows in tests])
-    results, kinds = [], _of_kinds(fit, errors)
     for (quantity, term, course), chance in zip(tests, chances, strict=True):
         share = correlation = 0.0
         if chance < FALSE_ALARM:
             share = residuals.amplitudes(course).inside / residuals.chi2
             if term == "order":
-                of_kind = kinds[_kind(fit, quantity)] if quantity in errors else course
-                correlation = residuals.alike_after(course, of_kind)
+                alike = of_kind[kinds[quantity]] if quantity in errors else course
+                correlation = residuals.alike_after(course, alike)
         results.append(Score(quantity, term, chance, share, correlation=correlation))
     for name, error in errors.items():
-        row, step = residuals.step(error)
+        row, after, step = residuals.step(error)
         correlation, size = 0.0, -float(step.values[0])
         if step.p_value < FALSE_ALARM:
-            after = error * (used >= row)[:, None, None]
-            correlation = residuals.alike_after(after, kinds[_kind(fit, name)])
+            correlation = residuals.alike_after(after, of_kind[kinds[name]])
         share = step.inside / residuals.chi2
         results.append(Score(name, "step", step.p_value, share, row, size, correlation=correlation))
         for place, rows in (repeated or {}).items():
@@ -132,27 +122,29 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
     return results
 
 
-def _of_kinds(fit: Fit, errors: Mapping[str, Array]) -> dict[tuple[bool, str], Array]:
-    """Return white rows of readings and of what was measured, by unit: (n_used, m, f)."""
-    kinds: dict[tuple[bool, str], list[Array]] = {}
+def _kinds(
+    fit: Fit, errors: Mapping[str, Array]
+) -> tuple[dict[str, tuple[bool, str]], dict[tuple[bool, str], Array]]:
+    """Return whether a quantity is a reading, and its unit; and white rows of all of a kind."""
+    n = fit.problem.leg_block.n_readings
+    units = enumerate(fit.problem.quantities.items())
+    kinds = {name: (place < n, unit) for place, (name, unit) in units}
+    of_kind: dict[tuple[bool, str], list[Array]] = {}
     for name, error in errors.items():
-        kinds.setdefault(_kind(fit, name), []).append(error)
-    return {kind: np.concatenate(rows, axis=2) for kind, rows in kinds.items()}
-
-
-def _kind(fit: Fit, name: str) -> tuple[bool, str]:
-    """Return whether a quantity is a reading, and its unit."""
-    quantities = fit.problem.quantities
-    return name in list(quantities)[: fit.problem.leg_block.n_readings], quantities[name]
+        of_kind.setdefault(kinds[name], []).append(error)
+    return kinds, {kind: np.concatenate(rows, axis=2) for kind, rows in of_kind.items()}
 
 
 def _course_tests(
-    errors: Mapping[str, Array], n_readings: int, courses: Mapping[str, Sequence[Array]]
+    fit: Fit, errors: Mapping[str, Array], used: Index
 ) -> Iterator[tuple[str, str, Array]]:
     """Yield quantities and courses to ask for, and their white rows, (n_used, m, f).
 
     Of each alone, and of all readings: the same error in each, or each with its own amplitudes.
+    Then whether lengths grow and positions move with time.
     """
+    n_readings, time = fit.problem.leg_block.n_readings, np.linspace(-1.0, 1.0, len(used))[:, None]
+    courses = {"order": [time] * len(errors), **_of_readings(fit, used)}
     for term, of_quantities in courses.items():
         named = zip(errors.items(), of_quantities, strict=False)
         rows = {name: error * course[:, None] for (name, error), course in named}
@@ -163,11 +155,14 @@ def _course_tests(
             yield ALL, term, np.sum([e for e in readings if e.shape[2] == width], axis=0)
         if n_readings > 1 and term != "pose":  # motors differ in amplitude
             yield ALL, term, np.concatenate(readings, axis=2)
-
-
-def _testable(fit: Fit) -> bool:
-    """Return whether residuals of a fit say something."""
-    return fit.degrees_of_freedom >= 2 and fit.chi2 > 0.0
+    grown = np.zeros((len(fit.unknowns.labels), 1))
+    for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True):
+        of_leg = [leg.units[n] == "m" and n not in leg.amplitudes for n in leg.parameter_names]
+        grown[columns, 0] = np.where(of_leg, fit.parameters[columns], 0.0)
+    yield LENGTHS, "order", (fit.last.jacobian[used] @ grown) * time[:, None]
+    moved, axes = _of_frame(fit, errors)
+    if len(axes) > 1:
+        yield FRAME, "order", moved * time[:, None]
 
 
 def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
@@ -195,21 +190,18 @@ def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
     i, j = np.triu_indices(x.shape[1])
     pose = np.concatenate((x, x[:, i] * x[:, j]), axis=1)
     units = [unit for leg in block.legs for unit in leg.reading_units]
-    values = block.readings.T
+    by_value = []
+    for value, unit in zip(block.readings[used].T, units, strict=True):
+        if unit == "rad":
+            by_value += [[f(k * value) for k in _HARMONICS for f in (np.sin, np.cos)]]
+        else:
+            along = (value - value.mean()) / (float(np.ptp(value)) or 1.0)
+            by_value += [[along**2, along**3]]
     return {
-        "angle": [_of_value(v[used], unit) for v, unit in zip(values, units, strict=True)],
+        "angle": [np.stack(columns, axis=1) for columns in by_value],
         "pose": [pose] * len(units),
-        "approach": [np.nan_to_num(sides(v)[used])[:, None] for v in values],
+        "approach": [np.nan_to_num(sides(v)[used])[:, None] for v in block.readings.T],
     }
-
-
-def _of_value(reading: Array, unit: str) -> Array:
-    """Return by what an error of a reading may follow its own value, shape (n_used, f)."""
-    if unit == "rad":
-        turns = [k * reading for k in _HARMONICS]
-        return np.stack([f(turn) for turn in turns for f in (np.sin, np.cos)], axis=1)
-    along = (reading - reading.mean()) / (float(np.ptp(reading)) or 1.0)
-    return np.stack([along**2, along**3], axis=1)
 
 
 def _of_target(fit: Fit, errors: Mapping[str, Array], target: str) -> Array:
@@ -228,23 +220,13 @@ def _of_frame(fit: Fit, errors: Mapping[str, Array]) -> tuple[Array, tuple[str, 
     return moved[:, :, known], tuple(np.array(list("xyz"[: len(known)]))[known].tolist())
 
 
-def _grown(fit: Fit, used: Index) -> Array:
-    """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m, 1)."""
-    J, lengths = fit.last.jacobian[used], np.zeros((len(fit.unknowns.labels), 1))
-    for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True):
-        lengths_of_leg = {name for name, unit in leg.units.items() if unit == "m"} - leg.amplitudes
-        long = np.array([name in lengths_of_leg for name in leg.parameter_names])
-        lengths[columns, 0] = long * fit.parameters[columns]
-    return np.asarray(J @ lengths)
-
-
 def slips(fit: Fit) -> list[Slip]:
     """Return what slipped or drifted, the clearest first; empty if nothing did."""
-    if not _testable(fit):
+    if fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
         return []
     residuals, clearest = Residuals.of(fit), list[Slip]()
     errors = errors_of(fit, residuals.used)
-    candidates, kinds = list(_candidates(fit, errors, residuals.used)), _of_kinds(fit, errors)
+    candidates, (_, of_kind) = list(_candidates(fit, errors, residuals.used)), _kinds(fit, errors)
     while len(clearest) < _MAX_SLIPS:
         tried = [trial for slip, W in candidates for trial in _tried(residuals, slip, W)]
         tried.sort(key=lambda trial: (trial[0].p_value, -trial[1]))
@@ -260,7 +242,7 @@ def slips(fit: Fit) -> list[Slip]:
             if slip.unit == first.unit and len(slip.size) == len(first.size)
         )
         chance = first.p_value * len(tried)
-        if residuals.alike_after(white, kinds[first.what == "reading", first.unit]):
+        if residuals.alike_after(white, of_kind[first.what == "reading", first.unit]):
             break  # neither a slip nor a drift
         clearest.append(replace(first, p_value=chance, or_else=indistinct))
         residuals = residuals.without(white)
@@ -272,8 +254,7 @@ def _tried(residuals: Residuals, slip: Slip, W: Array) -> Iterator[tuple[Slip, f
 
     Each with the χ² that it takes off, and the white rows of the error with its course.
     """
-    row, step = residuals.step(W)
-    after = W * (residuals.used >= row)[:, None, None]
+    row, after, step = residuals.step(W)
     yield replace(slip, row=row, size=-step.values, p_value=step.p_value), step.inside, after
     time = (residuals.used - residuals.used[0]) / max(float(np.ptp(residuals.used)), 1.0)
     steady = W * time[:, None, None]

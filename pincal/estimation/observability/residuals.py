@@ -211,10 +211,11 @@ class Residuals:
         hidden = (V[:, ~resolved] ** 2).sum(axis=1) > RANK_TOLERANCE
         return C, C.T @ along, hidden
 
-    def step(self, W: Array) -> tuple[int, Amplitudes]:
+    def step(self, W: Array) -> tuple[int, Array, Amplitudes]:
         """Return the first row after the clearest step of errors at once, and how large it is.
 
-        The row is among those of the fit; probable by chance is such a step anywhere.
+        The row is among those of the fit; then white rows after it, shape (n_used, m, f); probable
+        by chance is such a step anywhere.
         """
         turned = W.transpose(0, 2, 1)
         along = (turned @ self.left[:, :, None])[:, :, 0]
@@ -228,12 +229,13 @@ class Residuals:
         known[:1] = known[-1:] = False  # a row of its own is an outlier
         places = np.flatnonzero(known)
         if not len(places):
-            return 0, self.amplitudes(0.0 * W)
+            return 0, W, self.amplitudes(0.0 * W)
         sizes = np.linalg.solve(information[known], after[known][:, :, None])[:, :, 0]
         best = int(np.argmax(np.einsum("nf,nf->n", sizes, after[known])))
         row = int(self.used[places[best] + 1])
-        answer = self.amplitudes(W * (self.used >= row)[:, None, None])
-        return row, replace(answer, p_value=min(1.0, answer.p_value * len(places)))
+        after = W * (self.used >= row)[:, None, None]
+        answer = self.amplitudes(after)
+        return row, after, replace(answer, p_value=min(1.0, answer.p_value * len(places)))
 
     def chances(self, errors: Sequence[Array]) -> list[float]:
         """Return the probability of so much along errors, or more; 1 if nothing of them is seen.
