@@ -388,9 +388,22 @@ def test_poses_that_differ_by_their_noise_only_are_refused(shake: float, known: 
     noise = pincal.Noise(shake, shake) if known else None
     with pytest.raises(
         pincal.ObservabilityError,
-        match=r"leg_1\.(OA|ob).* weakly determined",
+        match=r"leg_1\.(OA|ob).* (apart by their noise|weakly determined)",
     ):
         pincal.calibrate(mechanism, data, noise=noise, strict=True)
+
+
+@pytest.mark.slow
+def test_many_poses_that_differ_by_their_noise_only_are_refused() -> None:
+    """However many they are: 1500 at one orientation, each leg alone, have no standard errors."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = workspace("3RRR", 6000)
+    poses[:, 2] = 0.1
+    plan = pincal.Plan(poses[in_workspace(mechanism, poses)][:1500])
+    noise, truth = pincal.Noise(1e-5, 1e-5), pincal.disturb(mechanism, 1e-3, seed=2)
+    data = pincal.simulate(truth, truth, plan, noise, 3).measurements
+    with pytest.raises(pincal.ObservabilityError, match="by their noise only"):
+        pincal.calibrate(mechanism, data, noise=noise, method="per-leg")
 
 
 def test_unobservable_parameters_are_named(candidates: dict[str, np.ndarray]) -> None:

@@ -214,7 +214,9 @@ READERS: dict[str, tuple[str, bytes, Callable[[Path], None]]] = {
     ),
     "partial": (
         "p.csv",
-        rows(f"x [m],y [mm],z [m],yaw [deg],{LEGS},pose", 4).replace(b"0.000", b""),
+        rows(f"x [m],y [mm],z [m],yaw [deg],pitch [deg],roll [deg],{LEGS},pose", 4).replace(
+            b"0.000", b""
+        ),
         read_partial,
     ),
     "setup": ("setup.yaml", SETUP.encode(), read_setup),

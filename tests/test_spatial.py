@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.estimation.observability.indices import r_diagonal
-from pincal.estimation.observation import angle
 from pincal.kinematics import closing
 from pincal.model.checks import sine_and_cosine
 from pincal.model.orientation import WAYS, columns_of, rotation_of, tilted
@@ -293,36 +292,3 @@ def test_clean_data_recover_all_48_parameters(
     for found, true in zip(result.legs, truth.legs, strict=True):
         assert np.abs(found.identified - true.nominal).max() < 1e-9
         assert found.rank == 8
-
-
-@pytest.mark.parametrize("name", ["yaw", "pitch", "roll", "azimuth", "tilt", "torsion"])
-def test_single_angles_and_their_derivatives(name: str) -> None:
-    """As SciPy's Euler angles have them, tilt and torsion as Z-Y-Z; derivatives by differences.
-
-    The angle's derivative is 1/h long; that of h is by differences too.
-    """
-
-    def wanted(R: Rotation) -> np.ndarray:
-        z, y, x = R.as_euler("ZYX").T
-        first, tilt, last = R.as_euler("ZYZ").T
-        torsion = first + last
-        all_ = {"yaw": z, "pitch": y, "roll": x, "azimuth": first, "tilt": tilt, "torsion": torsion}
-        return np.asarray(all_[name])
-
-    R = Rotation.random(50, random_state=3)
-    (value, slope), (h, by_turn) = angle(name, R.as_matrix())
-
-    def off(turn: np.ndarray) -> np.ndarray:  # no whole turns
-        return np.angle(np.exp(1j * (wanted(Rotation.from_rotvec(turn) * R) - value)))
-
-    assert np.abs(off(np.zeros(3))).max() < 1e-12
-    assert_derivative(slope, off)
-    np.testing.assert_allclose(np.linalg.norm(slope, axis=1) * h, 1.0, rtol=0.0, atol=1e-12)
-
-    def size(turn: np.ndarray) -> np.ndarray:
-        return angle(name, (Rotation.from_rotvec(turn) * R).as_matrix())[1][0]
-
-    if name in ("pitch", "tilt"):
-        np.testing.assert_allclose(by_turn, 0.0, atol=1e-12)
-    else:
-        assert_derivative(by_turn, size)

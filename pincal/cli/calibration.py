@@ -25,7 +25,6 @@ from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.pairs import with_pairs
 from pincal.files.table import TextTable, write_table
-from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.relations import ORIGIN
 from pincal.option import option, option_of
 from pincal.show import answers, tables
@@ -84,7 +83,7 @@ class InputOptions(SetupOptions):
         platform = mechanism.platform
         columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
         units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
-        others = dict.fromkeys(SINGLE_ANGLES, "rad") | dict.fromkeys(setup.pixels, "px")
+        others = dict.fromkeys(setup.pixels, "px")
         known = setup.pixels & data.sigma_extra.keys()
         units |= {name: others.get(name, "m") for name in data.extra.keys() - known}
         tracked = {*platform.coordinates[: platform.lengths], *setup.points(platform)}

@@ -263,7 +263,8 @@ class Evidence(NamedTuple):
         n, weights = len(self.triangle) - 1, 1.0 / sizes[self.groups]
         prior = weights[:, None] * np.column_stack((self.deviations, self.offsets))
         every = np.abs(np.diagonal(np.linalg.qr(np.concatenate((self.triangle, prior)), mode="r")))
-        prior_only = np.linalg.svd(prior[:, :n], compute_uv=False)[: _rank(self.deviations)]
+        rank = np.linalg.matrix_rank(self.deviations, rtol=RANK_TOLERANCE)
+        prior_only = np.linalg.svd(prior[:, :n], compute_uv=False)[:rank]
         return float(every[n] ** 2 + 2.0 * np.log(every[:n]).sum() - 2.0 * np.log(prior_only).sum())
 
 
@@ -302,10 +303,11 @@ def likeliest(
     from scipy.optimize import brentq, minimize  # slow to load: when needed
 
     low, high = (np.log(sizes) for sizes in within)
-    counts = [
-        sum(_rank(part.deviations[part.groups == group]) for part in parts)
-        for group in range(len(start))
-    ]
+    counts = np.zeros(len(start))
+    for part in parts:
+        for group in range(len(start)):
+            of_group = part.deviations[part.groups == group]
+            counts[group] += np.linalg.matrix_rank(of_group, rtol=RANK_TOLERANCE)
 
     def least(begin: Array, held: int | None = None, penalty: float = 0.0) -> tuple[Array, float]:
         """Return where the deviance is least, one logarithm held, and its value there."""
@@ -340,8 +342,3 @@ def likeliest(
             between = sorted((float(end), float(middle)))
             ends[place, side] = np.exp(brentq(above, *between)) if closed else open_end
     return np.clip(np.exp(modes), *ends.T), ends
-
-
-def _rank(T: Array) -> int:
-    """Return the rank of rows that a choice of free unknowns made, with its rounding errors."""
-    return int(np.linalg.matrix_rank(T, rtol=RANK_TOLERANCE))

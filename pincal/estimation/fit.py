@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.noise import RowNoise
-from pincal.estimation.observability.identifiable import check_rank
+from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.solver import (
     ROWS_FOLLOW,
@@ -231,7 +231,7 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
     """Return the fit of a problem, from nominal parameters or from near the optimum.
 
     Raises:
-        ObservabilityError: parameters are not determined.
+        ObservabilityError: parameters are not determined, or by the noise only.
         MeasurementError: residuals that do not exist, or have no noise.
     """
     problem, unknowns = system.problem, system.unknowns
@@ -246,13 +246,19 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
         evaluations += easy_evaluations
     enough = SLOW if adjusts(problem) else 0.0  # the last steps go on from there
     solution = last_steps(system, search(system, start, highest=highest, enough=enough))
+    if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
+        check_information(problem, unknowns, (first, solution.last))
     check_rank(problem, unknowns, solution.last, ended=True)
     optimum = Fit(**vars(solution), system=system, first=first)
-    if not system.known and (dof := optimum.degrees_of_freedom) < 1:
-        raise ObservabilityError(
-            f"{dof + unknowns.n_free} equations for {unknowns.n_free} parameters, and the scale of "
-            "the noise is not known; measure more, or give the noise"
-        )
+    if not system.known:
+        n, dof = unknowns.n_free, optimum.degrees_of_freedom
+        if dof < 1:
+            raise ObservabilityError(
+                f"{dof + n} equations for {n} parameters, and the scale of the noise is not known; "
+                "measure more, or give the noise"
+            )
+        judged = (optimum.last, optimum.noise_scale) if solution.converged else (first, 1.0)
+        check_information(problem, unknowns, judged[:1], judged[1])
     return replace(optimum, evaluations=solution.evaluations + evaluations)
 
 

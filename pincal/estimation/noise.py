@@ -19,7 +19,6 @@ from pincal.model.checks import ROUNDING
 from pincal.model.instrument import POLAR, Tracker
 from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
 from pincal.model.relations import ORIGIN, ROW
 from pincal.model.setup import Setup
@@ -280,9 +279,9 @@ def row_noise(
 ) -> RowNoise:
     """Return the noise of quantities: each row's own, a tracker's, else that of the unit.
 
-    Names are freedoms of the platform, columns of the setup, and single angles.
+    Names are freedoms of the platform and columns of the setup.
     """
-    sigmas = _sigmas_by_name(names, data, noise, setup, platform)
+    sigmas = _sigmas_by_name(data, noise, setup, platform)
     none = np.full(len(data), np.nan)
     general = [noise.of_unit(unit) for unit in units]
     sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
@@ -311,9 +310,9 @@ def row_noise(
 
 
 def _sigmas_by_name(
-    names: Sequence[str], data: Measurements, noise: Noise, setup: Setup, platform: Platform
+    data: Measurements, noise: Noise, setup: Setup, platform: Platform
 ) -> dict[str, Array]:
-    """Return each row's standard deviations by quantity, (N,); single angles' by those of turns.
+    """Return each row's standard deviations by quantity, (N,).
 
     Of a distance between rows a small share is of the point that a row marks, the rest its own:
     exact points beside exact readings would leave rows without noise.
@@ -323,12 +322,7 @@ def _sigmas_by_name(
         sigma = sigmas.get(name, none)
         sigmas[name] = np.where(np.isfinite(sigma), sigma, size)
     if data.sigma_poses is not None:
-        by_freedom = dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
-        if platform.turns == 3:
-            turns = [name for name in platform.coordinates[platform.lengths :] if name in names]
-            middle = np.sqrt((data.sigma_poses[:, platform.lengths :] ** 2).mean(axis=1))
-            sigmas = dict.fromkeys((*turns, *SINGLE_ANGLES), middle) | sigmas
-        sigmas |= by_freedom
+        sigmas |= dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
     if between := setup.between:
         usual = np.full(len(data), noise.position)
         distances = {name: data.sigma_extra.get(name, usual) for name in between}

@@ -1,13 +1,9 @@
 """What is measured of the platform, predicted from its pose, with derivatives.
 
-Positions of targets u = T_frame_base (r + R t), single coordinates of them, orientations,
-single angles, by how much u misses what it meets (``relations``), and what further instruments
-read. Rows are predicted less measured. Each follows the twist of the platform in the frame of the
-measurements, of which the twist in base axes and that of the frame itself are parts.
-
-A single angle without a standard deviation of its own is part of an orientation, whose noise is
-a small turn ω. Near a pole the angle follows it by J = ∂angle/∂ω, 1/h long. Its row is h times
-the difference, the least turn that makes it up, and has the noise of ω along h J.
+Positions of targets u = T_frame_base (r + R t), single coordinates of them, orientations, by how
+much u misses what it meets (``relations``), and what further instruments read. Rows are predicted
+less measured. Each follows the twist of the platform in the frame of the measurements, of which the
+twist in base axes and that of the frame itself are parts.
 """
 
 from __future__ import annotations
@@ -22,55 +18,15 @@ from pincal.estimation.noise import RowNoise, row_noise
 from pincal.estimation.relations import Predicted, meetings, met
 from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, State
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
-from pincal.model.checks import wrapped
 from pincal.model.instrument import Instrument, evaluated
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
 from pincal.model.relations import ORIGIN
 from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
 
 _TWIST = (0, 1, 2, 3, 4, 5)
-_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # matrices of e_a ×
-
-
-def angle(name: str, R: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return an angle of orientations and its h, each with its derivative by turns, outer axes.
-
-    Args:
-        name: ``yaw``, ``pitch``, ``roll`` (intrinsic Z-Y-X), ``azimuth``, ``tilt``, ``torsion``.
-        R: Orientations, shape (N, 3, 3).
-
-    Returns:
-        The angle, [rad], and the h of which its derivative is 1/h long, 1 for pitch and tilt.
-        Derivatives are zero where h is: the azimuth at tilt 0.
-    """
-    # entries of R with their derivatives e_a × R behind them, each of shape (N, 4)
-    r = np.concatenate((R[:, None], _CROSS @ R[:, None]), axis=1).transpose(2, 3, 0, 1)
-    f, g = {
-        "yaw": (r[1, 0], r[0, 0]),
-        "pitch": (-r[2, 0], _length(r[0, 0], r[1, 0])),
-        "roll": (r[2, 1], r[2, 2]),
-        "azimuth": (r[1, 2], r[0, 2]),
-        "tilt": (_length(r[0, 2], r[1, 2]), r[2, 2]),
-        # 1 + cos tilt, which is 2 h², times sine and cosine of the torsion
-        "torsion": (r[1, 0] - r[0, 1], r[0, 0] + r[1, 1]),
-    }[name]
-    size, by_size = np.split(_length(f, g), [1], axis=1)
-    safe = np.where(size > 0.0, size, 1.0)
-    slope = (g[:, :1] * f[:, 1:] - f[:, :1] * g[:, 1:]) / safe**2
-    if name == "torsion":
-        size, by_size = np.sqrt(0.5 * size), 0.25 * by_size / np.sqrt(0.5 * safe)
-    return (np.arctan2(f[:, 0], g[:, 0]), slope), (size[:, 0], by_size)
-
-
-def _length(a: Array, b: Array) -> Array:
-    """Return √(a² + b²) of functions and its derivatives behind it, shape (N, 4)."""
-    size = np.hypot(a[:, :1], b[:, :1])
-    slope = (a[:, :1] * a[:, 1:] + b[:, :1] * b[:, 1:]) / np.where(size > 0.0, size, 1.0)
-    return np.concatenate((size, slope), axis=1)
 
 
 class Observation:
@@ -80,7 +36,8 @@ class Observation:
         """Hold what was measured.
 
         Raises:
-            MeasurementError: a column of the setup is missing.
+            MeasurementError: a column of the setup is missing, or an orientation is measured in
+                part.
         """
         platform = self.platform = mechanism.platform
         self.setup = setup
@@ -98,17 +55,17 @@ class Observation:
         self.orientations = _orientations(platform, data)
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
         oriented = _oriented(self.orientations)
-        angles = {name: data.extra[name] for name in SINGLE_ANGLES if name in data.extra}
-        if platform.turns == 3:
-            partial = np.where(oriented[:, None], np.nan, data.poses[:, lengths:])
-            angles |= dict(zip(platform.coordinates[lengths:], partial.T, strict=True))
-        angles = {name: v for name, v in angles.items() if np.isfinite(v).any()}
+        if (part := np.isfinite(data.poses[:, lengths:]).any(axis=1) & ~oriented).any():
+            raise MeasurementError(
+                f"{data.place(int(np.argmax(part)))}: an orientation is measured in part; expected "
+                f"{', '.join(platform.coordinates[lengths:])} or none of them (what reads a single "
+                "angle is an instrument of your own: pincal.Instrument)"
+            )
         turns = platform.freedoms[lengths:]
-        self.names = (*scalars, *angles, *turns, *units)
+        self.names = (*scalars, *turns, *units)
         """Names of the r quantities, as columns of measurements or freedoms of the platform."""
-        n_angles, n_turns = len(angles), len(turns)
-        self.units = (*["m"] * len(scalars), *["rad"] * (n_angles + n_turns), *units.values())
-        known = [*scalars.values(), *angles.values(), *[np.where(oriented, 0.0, np.nan)] * n_turns]
+        self.units = (*["m"] * len(scalars), *["rad"] * len(turns), *units.values())
+        known = [*scalars.values(), *[np.where(oriented, 0.0, np.nan)] * len(turns)]
         table = np.column_stack([np.empty((len(data), 0)), *known, *conditions])
         self.measured: Mask = np.isfinite(table)
         """Which quantity is measured in which row, shape (N, r)."""
@@ -116,11 +73,8 @@ class Observation:
         self._values[:, len(scalars) :] = 0.0  # of which predictions are less what was measured
         self.conditions = table[:, len(known) :]
         """What instruments read, shape (N, …); NaN where they did not."""
-        self._angle_names = tuple(angles)
-        self._angles, self._follow_turn = _angles(angles, data, oriented | (platform.turns < 3))
-        """Measured single angles, [rad], and which have the noise of a turn, (N, angles)."""
         self._turn_rows = [row - 3 for row in platform.twist_rows if row >= 3]
-        self.external = ExternalUnknowns(platform, setup, bool(oriented.any() or angles))
+        self.external = ExternalUnknowns(platform, setup, bool(oriented.any()))
         self.noise = RowNoise(np.zeros(self.measured.shape))
         """Noise of the quantities; none until it is said."""
 
@@ -197,7 +151,7 @@ class Observation:
 
     def at(self, rows: Index) -> Observation:
         """Return the observation at some rows."""
-        arrays = ("measured", "orientations", "_values", "_angles", "_follow_turn", "conditions")
+        arrays = ("measured", "orientations", "_values", "conditions")
         parts = {name: getattr(self, name)[rows] for name in (*arrays, "meets")}
         return self._with(noise=self.noise.rows(rows), **parts)
 
@@ -223,27 +177,15 @@ class Observation:
         """Which quantities have noise of their own: pixels, shape (r,)."""
         return np.array([unit == "px" and self.noise.correlation is None for unit in self.units])
 
-    def noise_root(self, state: State, quantities: Index | None = None) -> Array:
+    def noise_root(self, quantities: Index | None = None) -> Array:
         """Return the root of the rows' noise, shape (N, r, r); zero where nothing is measured.
 
         Of some quantities, whose noise is not that of others, if these are given.
-        Parts of an orientation follow the turn that is its noise, others their own.
         """
         measured, noise = self.measured, self.noise
         if quantities is not None:
             measured, noise = measured[:, quantities], RowNoise(noise.sigma[:, quantities])
-        roots = noise.roots
-        if self._follow_turn.any():
-            external = state.external
-            predicted = external.frame[:3, :3] @ state.matrices[:, :3, :3] @ external.turn
-            first = self.names.index(self.platform.freedoms[self.platform.lengths])
-            by_turn = roots[:, first : first + len(self._turn_rows)]
-            roots = roots.copy()
-            for column, name in enumerate(self._angle_names):
-                along = self._angle(column, predicted)[2]
-                rows = self._follow_turn[:, column] & along.any(axis=1)
-                roots[rows, self.names.index(name)] = (along[rows, None] @ by_turn[rows])[:, 0]
-        return np.where(measured[:, :, None], roots, 0.0)
+        return np.where(measured[:, :, None], noise.roots, 0.0)
 
     def systematic(self, matrices: Array, external: External) -> Array:
         """Return by how much all is off for one standard uncertainty of what is off in all rows.
@@ -326,34 +268,16 @@ class Observation:
         return rows
 
     def _turned(self, R: Array, external: External) -> Predicted:
-        """Return rows of single angles and of orientations, less what was measured."""
-        predicted = R @ external.turn
-        parts = [self._angle(column, predicted) for column in range(len(self._angle_names))]
-        values = [value[:, None] for value, _, _ in parts]
-        slopes = [slope[:, None] for _, slope, _ in parts]
+        """Return rows of orientations, less what was measured."""
+        error, oriented = np.zeros((len(R), 3)), _oriented(self.orientations)
         if self._turn_rows:
-            oriented = _oriented(self.orientations)
-            error = np.zeros((len(R), 3))
-            error[oriented] = turn_between(predicted[oriented], self.orientations[oriented])
-            values.append(error[:, self._turn_rows])
-            slopes.append(inverse_left_jacobian(error)[:, self._turn_rows])
-        by_turn = np.concatenate([np.zeros((len(R), 0, 3)), *slopes], axis=1)
+            predicted = R[oriented] @ external.turn
+            error[oriented] = turn_between(predicted, self.orientations[oriented])
+        by_turn = inverse_left_jacobian(error)[:, self._turn_rows]
         by_external = np.zeros((*by_turn.shape[:2], self.external.own.stop))
         by_external[:, :, self.external.turn] = by_turn @ R
-        value = np.concatenate([np.zeros((len(R), 0)), *values], axis=1)
+        value = error[:, self._turn_rows]
         return value, np.pad(by_turn, ((0, 0), (0, 0), (3, 0))), by_external
-
-    def _angle(self, column: int, predicted: Array) -> tuple[Array, Array, Array]:
-        """Return the row of a single angle, its derivative by turns, and by those that are noise.
-
-        Shapes (N,), [rad], (N, 3), (N, 3).
-        """
-        (value, slope), (h, by_turn) = angle(self._angle_names[column], predicted)
-        follows = self._follow_turn[:, column, None]
-        missed, h = wrapped(value - self._angles[:, column])[:, None], h[:, None]
-        row = np.where(follows, h * missed, missed)[:, 0]
-        along = h * slope
-        return row, np.where(follows, along + missed * by_turn, slope), along
 
     def _instruments(self, poses: Array, external: External) -> list[Predicted]:
         rows, first = [], len(self.names) - self.conditions.shape[1]
@@ -365,19 +289,6 @@ class Observation:
             by_external[:, :, self.external.own.start + places] = by_own
             rows.append((value, by_pose, by_external))
         return rows
-
-
-def _angles(single: dict[str, Array], data: Measurements, independent: Mask) -> tuple[Array, Mask]:
-    """Return single angles, zero where not measured, and which have the noise of a turn.
-
-    Those of rows apart, or with a standard deviation of their own, have not.
-    """
-    angles = np.reshape([*single.values()], (len(single), len(data))).T
-    parts = np.isfinite(angles) & ~independent[:, None]
-    for place, name in enumerate(single):
-        parts[:, place] &= ~np.isfinite(data.sigma_extra.get(name, np.nan))
-    parts &= parts.sum(axis=1, keepdims=True) <= 3
-    return np.where(np.isfinite(angles), angles, 0.0), parts
 
 
 def _oriented(orientations: Array) -> Mask:

@@ -189,7 +189,7 @@ class Linear:
         roots = self.problem.leg_block.pose_roots
         if roots is not None:
             return np.concatenate((self.reading_root, self.by_pose @ roots), axis=2)
-        observed = self.problem.observation.noise_root(self.state, quantities)
+        observed = self.problem.observation.noise_root(quantities)
         return block_diagonal((self.reading_root, observed))
 
     def after(self, step: Array) -> Array:
@@ -290,6 +290,11 @@ class Linear:
     def noise(self) -> Array:
         """The least noise that explains the conditions, standard deviations, shape (N, s)."""
         return -(self.white.by_noise.transpose(0, 2, 1) @ self.residuals[:, :, None])[:, :, 0]
+
+    @cached_property
+    def noise_by_parameter(self) -> Array:
+        """Its derivative, shape (N, s, n): rows that do not turn from state to state."""
+        return -(self.white.by_noise.transpose(0, 2, 1) @ self.jacobian)
 
 
 @dataclass(frozen=True)

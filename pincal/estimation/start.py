@@ -39,7 +39,6 @@ _STEPS, _LARGEST, _SMALL = 60, 0.2, 1e-7  # of the search: how many, the largest
 _USUAL = 3.0  # times the median gap, up to which readings leave what contradicting ones do
 _DRIVE_STEPS = 5  # steps from the readings at home to those measured
 _CLOSES = 1e-3  # share of a leg's size: a gap that contradicting readings leave
-_TILTED = 1e-3  # tilt [rad] of a platform that is not upright
 _CONTRADICTS = 0.03  # share of the mechanism's size, median over rows: nothing is identified
 _TURNS = 50  # turns of frame and offsets, at most
 _MOST = 100  # evaluations by which what instruments alone see is placed
@@ -163,8 +162,6 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
     """
     platform = problem.platform
     partly = np.where(np.isfinite(data.poses), data.poses, platform.home)
-    if "tilt" in platform.coordinates:  # upright, tilt has no direction in which to grow
-        partly[:, platform.coordinates.index("tilt")] += _TILTED
     matrices = platform.matrices(partly).copy()
     turns = problem.observation.orientations
     known = np.isfinite(turns).all(axis=(1, 2))

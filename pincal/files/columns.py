@@ -20,7 +20,7 @@ from pincal.files.table import TextTable, read_table, write_table
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import SINGLE_ANGLES, WAYS
+from pincal.model.orientation import WAYS
 from pincal.model.orientation import columns_of as angles_of
 from pincal.model.setup import Setup
 from pincal.types import Array
@@ -243,8 +243,7 @@ def reading_columns(mechanism: GivenMechanism, readings: Array, prefix: str = ""
 def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | None) -> Columns:
     """Return the columns that measurements have besides poses and readings."""
     freedoms = dict(zip(mechanism.platform.freedoms, mechanism.platform.units, strict=True))
-    units = dict.fromkeys(SINGLE_ANGLES, "rad")
-    units |= setup.columns(mechanism) if setup else {}
+    units = setup.columns(mechanism) if setup else {}
     columns: Columns = {}
     if data.sigma_poses is not None:
         columns |= _headed(freedoms.items(), data.sigma_poses, "sigma_")

@@ -29,7 +29,7 @@ from pincal.files.text import plain_number
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import SINGLE_ANGLES, WAYS, columns_of, rotation_of
+from pincal.model.orientation import WAYS, columns_of, rotation_of
 from pincal.model.relations import TO
 from pincal.model.setup import Setup
 from pincal.types import Array
@@ -117,8 +117,6 @@ def read_measurements(
     pixels, sigma_pixels = read_corners(setup, every_row, table.lines)
     _check_columns(table, mechanism, setup, further)
     way = _way(table, mechanism)
-    if platform.turns == 3 and partial and way is None:
-        further |= dict.fromkeys(filter(table.units.__contains__, SINGLE_ANGLES), "rad")
     poses = _poses(table, mechanism, partial=partial)
     if level and "z" in table:
         poses = _levelled(table, setup, poses)
@@ -198,6 +196,13 @@ def _way(table: TextTable, mechanism: Mechanism) -> str | None:
             f"{table.path}: the orientation is said in {len(ways)} ways, {columns}; leave one of "
             "them"
         )
+    for names, _ in () if ways else WAYS.values():
+        if has := [name for name in names if name in table]:
+            lacking = next(name for name in names if name not in table)
+            raise MeasurementError(
+                f"{table.path}: no column {lacking!r} beside {has[0]!r}; an orientation in space "
+                f"is measured in full ({', '.join(names)}) or not at all"
+            )
     return ways[0] if ways else None
 
 

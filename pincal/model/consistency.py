@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.model.checks import EXACT, LARGEST
-from pincal.model.orientation import SINGLE_ANGLES, WAYS
+from pincal.model.orientation import WAYS
 from pincal.model.platform import TWIST
 from pincal.model.terms import APPROACH
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pincal.model.platform import Platform
 
 #: Columns of tables that mean something else than a reading.
-RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
+RESERVED = {"x", "y", "z", "phi", "set", "run", "pose"} | {
     name for names, _ in WAYS.values() for name in names
 }
 

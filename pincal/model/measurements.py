@@ -162,7 +162,7 @@ class Plan:
             path: The file.
             mechanism: The mechanism; or its name or folder.
             orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
-            setup: Says units of further columns that are neither lengths nor single angles.
+            setup: Says units of further columns that are no lengths.
             force: Whether to replace the file if it exists.
 
         Raises:
@@ -244,7 +244,8 @@ class Measurements(Plan):
     """What was measured, row by row; NaN where it was not.
 
     Without a ``Setup`` that says otherwise, ``poses`` are those of the platform in the base
-    frame. Of all legs together, part of a pose, or all of it, may be NaN: not measured.
+    frame. Of all legs together, coordinates of a position, an orientation, or all of a pose may be
+    NaN: not measured.
     """
 
     readings: Array = field()
@@ -255,7 +256,7 @@ class Measurements(Plan):
     """Standard deviation of each reading, shape (N, n_readings), if the file gives it."""
     extra: Mapping[str, Array] = field(default_factory=dict)
     """Further measured quantities by column, each of shape (N,): positions of further targets
-    and distances [m] (see ``Setup``), single angles of a spatial platform [rad]."""
+    and distances [m], what instruments read (see ``Setup``)."""
     sigma_extra: Mapping[str, Array] = field(default_factory=dict)
     """Standard deviations of further quantities by column, each of shape (N,); of what a tracker
     measures as ``range``, ``azimuth`` and ``elevation``."""

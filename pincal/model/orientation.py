@@ -9,8 +9,6 @@ from pincal.errors import MeasurementError
 from pincal.model.checks import sine_and_cosine, wrapped
 from pincal.types import Array
 
-#: Angles that may be measured one by one.
-SINGLE_ANGLES = ("yaw", "pitch", "roll")
 #: For each way: columns and their unit.
 WAYS: dict[str, tuple[tuple[str, ...], str]] = {
     "tilt-torsion": (("azimuth", "tilt", "torsion"), "rad"),

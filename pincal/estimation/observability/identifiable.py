@@ -1,8 +1,9 @@
-"""Do the measurements determine the parameters? Rank, what is held, and weak pairs.
+"""Do the measurements determine the parameters? Rank, and information that is only noise.
 
-Poses that leave parameters undetermined lose rank. Measured poses are never exactly such: their
-noise makes every Jacobian full. So a direction also counts as undetermined where noise moves it
-farther than machines differ from their drawings.
+Poses that leave parameters undetermined lose rank. Measured poses are never exactly such:
+their noise makes every Jacobian full, and a fit would read parameters out of the noise. So
+each direction in parameter space must carry clearly more information than the noise of the
+poses makes when it is drawn once more.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from pincal.estimation.unknowns import Unknowns
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
 
+_CLEARLY = 3.0  # times what noise makes of information: less is none
 _TAKES_PART = 0.1  # share of a direction's largest entry, from which a parameter is named
 _WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
 
@@ -62,6 +64,43 @@ def check_rank(
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
             "can be (leave out --strict; leave out --method per-leg)"
         )
+
+
+def check_information(
+    problem: Problem, unknowns: Unknowns, places: Sequence[Linear], scale: float = 1.0
+) -> None:
+    """Raise if some direction in parameter space is observed by the noise of the poses only.
+
+    At one of several places it must be observed by more; noise is a scale larger than drawn.
+
+    Raises:
+        ObservabilityError: there is one; the message names the parameters that take part.
+    """
+    roots = problem.leg_block.pose_roots
+    for linear in places:  # poses are drawn from what is not known about them
+        rng, white = np.random.default_rng(0), linear.white
+        if roots is None:
+            W = white.by_noise
+            draws = rng.standard_normal((len(W), W.shape[2], 1))
+            hidden = draws - W.transpose(0, 2, 1) @ (W @ draws)  # what white rows do not see
+            twists = white.poses_by(white.noise @ hidden)
+        else:
+            twists = roots @ rng.standard_normal((*roots.shape[:2], 1))
+        matrices = problem.platform.displaced(linear.state.matrices, twists[:, :, 0])
+        drawn = problem.evaluate(replace(linear.state, matrices=matrices)).noise_by_parameter
+        difference = (drawn - linear.noise_by_parameter) @ unknowns.map
+        rows = unknowns.free_rows(linear.triangle)  # that of the rows here: W Wᵀ = 1
+        lengths = np.linalg.norm(rows, axis=0)
+        _, information, directions = np.linalg.svd(rows / lengths, full_matrices=False)
+        made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=(0, 1))
+        by_noise = directions[information < _CLEARLY * made]
+        if not len(by_noise):
+            return
+    raise ObservabilityError(
+        f"the measured poses determine {', '.join(taking_part(unknowns.free_labels, by_noise))} by "
+        "their noise only. Measure poses that differ more (in orientation above all), or fix one "
+        "of these parameters, or make it a constant in mechanism.yaml"
+    )
 
 
 def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:
