@@ -1,13 +1,9 @@
 """What other programs' files do not say: a home in which all legs close, parameters that count.
 
-Files say how bodies hang together, and at which joint positions they were drawn, not that the loops
-are closed there. Newton's method on the platform's pose and all joints takes the shortest steps
-that close them. Loops of more equations than freedoms close exactly only if every digit is there: a
-joint that has to move far for a small gap moves along no freedom, and stays.
-
-A passive joint's zero, or a shift along a joint's axis that the next placement has too, changes
-nothing: over random configurations the closure's derivatives by such parameters depend on those by
-others. Of the parameters in order, those that add to the rank are kept, ranks cut in a widest gap.
+Loops of more equations than freedoms close exactly only if every digit is there: a joint that has
+to move far for a small gap moves along no freedom, and stays. A passive joint's zero, or a shift
+along a joint's axis that the next placement has too, changes nothing: of the parameters in order,
+those are kept that add to the rank of the closure's derivatives, ranks cut in a widest gap.
 """
 
 from __future__ import annotations
@@ -16,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from pincal.errors import MechanismError
+from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
@@ -45,15 +41,17 @@ def assembled(
     """
     free = Platform.at_origin(platform.kind, platform.twist)
     size = max(leg.size for leg in legs)
-    pose, joints, gap = _closed(legs, free, size, _SINGULAR)
-    ends = zip(legs, joints, strict=True)
-    moved = max(float(np.abs(q[0] - leg.home).max(initial=0.0)) for leg, q in ends)
+    closures, homes = [LegClosure(leg, free) for leg in legs], [leg.home[None] for leg in legs]
+    drawn = _fitted(closures, homes, free)
+    pose, joints, gap = _closed(closures, drawn, homes, _SINGULAR)
+    ends = zip(homes, joints, strict=True)
+    moved = max(float(np.abs(q - home).max(initial=0.0)) for home, q in ends)
     far = slack > _SINGULAR and moved > opening(legs, platform) / size / slack
-    if far or not gap <= _CLOSED * size:
-        pose, joints, gap = _closed(legs, free, size, max(slack, _SINGULAR))
-    if not gap <= max(_CLOSED, slack) * size:
+    if far or not gap[0] <= _CLOSED * size:
+        pose, joints, gap = _closed(closures, drawn, homes, max(slack, _SINGULAR))
+    if not gap[0] <= max(_CLOSED, slack) * size:
         raise MechanismError(
-            f"the loops do not close near the joint positions that the file draws: {gap:.3g} m "
+            f"the loops do not close near the joint positions that the file draws: {gap[0]:.3g} m "
             "stay open. Give positions that close them (keyframe of MJCF, 'home' of the YAML "
             "file), or look at the frames of the loops"
         )
@@ -63,47 +61,40 @@ def assembled(
 
 
 def _closed(
-    legs: Sequence[Leg], free: Platform, size: float, least: float
-) -> tuple[Array, list[Array], float]:
-    """Return pose (1, 4, 4) and joints (1, n) of the legs where Newton's method ends, and the gap.
+    closures: Sequence[LegClosure], poses: Array, joints: Sequence[Array], least: float
+) -> tuple[Array, list[Array], Array]:
+    """Return poses (N, 4, 4) and joints (N, n) of each leg, closed nearby, and largest gaps, (N,).
 
-    It starts at the legs' home. Along singular values below the least, over the size of the largest
-    leg, [m], nothing moves.
+    Along singular values below the least, over the size of the largest leg, [m], nothing moves.
     """
-    closures = [LegClosure(leg, free) for leg in legs]
-    joints = [leg.home[None].copy() for leg in legs]
-    pose = _fitted(closures, joints, free)
-    turning = [unit == "rad" for unit in free.units]
-    turning += [joint.turns for leg in legs for joint in leg.moving]
+    platform, size = closures[0].platform, max(closure.size for closure in closures)
+    turning = [unit == "rad" for unit in platform.units]
+    turning += [joint.turns for closure in closures for joint in closure.leg.moving]
     scale = np.where(turning, 1.0, size)
-    ends = np.cumsum([free.dof, *(len(leg.moving) for leg in legs)])[:-1]
-    gap = np.inf
+    ends = np.cumsum([platform.dof, *(q.shape[1] for q in joints)])[:-1]
     for _ in range(_STEPS):
-        parts = [closure.evaluate(q, pose) for closure, q in zip(closures, joints, strict=True)]
-        gaps = np.concatenate([part.gap[0] for part in parts])
-        gap = float(np.abs(gaps).max())
-        by_pose = np.concatenate([part.pose[0] for part in parts])
-        J = np.hstack((by_pose, block_diag(*(part.by_joints[0] for part in parts))))
+        parts = [closure.evaluate(q, poses) for closure, q in zip(closures, joints, strict=True)]
+        gaps = np.concatenate([part.gap for part in parts], axis=1)
+        by_pose = np.concatenate([part.pose for part in parts], axis=1)
+        J = np.concatenate((by_pose, block_diagonal([part.by_joints for part in parts])), axis=2)
         u, values, vt = np.linalg.svd(J * scale / size, full_matrices=False)
-        free_to = values > cut_in_gap(values, least)
-        step = -scale * (vt[free_to].T @ ((u[:, free_to].T @ gaps / size) / values[free_to]))
-        longest = float(np.abs(step).max())
-        if gap <= ROUNDING * size or longest <= ROUNDING * max(1.0, size):
+        cuts = np.array([[cut_in_gap(of_row, least)] for of_row in values])
+        with np.errstate(divide="ignore"):
+            inverse = np.where(values > cuts, 1.0 / values, 0.0)[:, :, None]
+        along = inverse * (u.transpose(0, 2, 1) @ gaps[:, :, None] / size)
+        steps = -scale * (vt.transpose(0, 2, 1) @ along)[:, :, 0]
+        largest, longest = np.abs(gaps).max(axis=1), np.abs(steps).max(axis=1)
+        if ((largest <= ROUNDING * size) | (longest <= ROUNDING * max(1.0, size))).all():
             break
-        step *= min(1.0, _LARGEST * max(1.0, size) / longest)
-        twist, *moves = np.split(step, ends)
-        pose = free.displaced(pose, twist[None])
-        for q, move in zip(joints, moves, strict=True):
-            q[0] += move
-    return pose, joints, gap
+        steps *= np.minimum(1.0, _LARGEST * max(1.0, size) / np.maximum(longest, 1e-300))[:, None]
+        twists, *moves = np.split(steps, ends, axis=1)
+        poses = platform.displaced(poses, twists)
+        joints = [q + move for q, move in zip(joints, moves, strict=True)]
+    return poses, list(joints), largest
 
 
 def cut_in_gap(values: Array, least: float) -> float:
-    """Return where singular values end that are freedoms: in the widest gap above what is none.
-
-    Of a matrix whose entries are near one. Rounding reaches the least; the gap is looked for up to
-    ten times that.
-    """
+    """Return where freedoms' singular values end: in the widest gap up to ten times the least."""
     if least <= _SINGULAR:
         return least
     near = values[(values > least) & (values < 10.0 * least)]
@@ -113,10 +104,7 @@ def cut_in_gap(values: Array, least: float) -> float:
 
 
 def opening(legs: Sequence[Leg], platform: Platform) -> float:
-    """Return how far ends that should meet are apart at home, the platform put in between, [m].
-
-    Where whole frames meet, their turn counts times the leg's size.
-    """
+    """Return how far ends that should meet are apart at home, [m], the platform put in between."""
     free = Platform.at_origin(platform.kind, platform.twist)
     closures, joints = [LegClosure(leg, free) for leg in legs], [leg.home[None] for leg in legs]
     pose = _fitted(closures, joints, free)
@@ -146,40 +134,26 @@ def _fitted(closures: Sequence[LegClosure], joints: Sequence[Array], platform: P
     return matrix[None]
 
 
-def _closed_at_random(closure: LegClosure) -> tuple[Array, Array]:
-    """Return joints (N, n_joints) and poses (N, 4, 4) about home at which a tree's ends meet."""
-    leg, platform, rng = closure.leg, closure.platform, np.random.default_rng(0)
-    shares = rng.uniform(-_ABOUT, _ABOUT, (_CONFIGURATIONS, platform.dof + len(leg.moving)))
-    lengths = [leg.size if unit == "m" else 1.0 for unit in platform.units]
-    scale = np.concatenate((lengths, leg.scales))
-    moves = shares * scale
-    poses = np.repeat(platform.home_pose.as_matrix(), _CONFIGURATIONS, axis=0)
-    joints = np.tile(leg.home, (_CONFIGURATIONS, 1))
-    for _ in range(_STEPS // 5):
-        poses = platform.displaced(poses, moves[:, : platform.dof])
-        joints = joints + moves[:, platform.dof :]
-        part = closure.evaluate(joints, poses)
-        J = np.concatenate((part.pose, part.by_joints), axis=2) * scale / leg.size
-        inverse = np.linalg.pinv(J, rcond=_DEPENDS)
-        moves = -scale * (inverse @ (part.gap / leg.size)[:, :, None])[:, :, 0]
-        longest = np.abs(moves / scale).max(axis=1, keepdims=True)
-        moves *= _LARGEST / np.maximum(longest, _LARGEST)
-    near = np.abs(part.gap).max(axis=1) <= _CLOSED * leg.size
-    return joints[near], poses[near]
-
-
 def independent(
     leg: Leg, platform: Platform, order: tuple[str, ...], slack: float = 0.0
 ) -> tuple[str, ...]:
-    """Return the names of a leg's parameters that are independent of those before them.
+    """Return the names of a leg's parameters, in an order, that depend on none before them.
 
-    In an order of all names, those to keep rather first. Cut digits may have moved frames by the
-    slack, of the leg's size and [rad].
+    Cut digits may have moved frames by the slack, of the leg's size and [rad].
     """
     closure, rng = LegClosure(leg, platform), np.random.default_rng(0)
     joints = rng.uniform(*joint_range(leg), (_CONFIGURATIONS, len(leg.moving)))
-    if leg.ends:
-        joints, poses = _closed_at_random(closure)
+    if leg.ends:  # closed about home
+        lengths = [leg.size if unit == "m" else 1.0 for unit in platform.units]
+        moves = rng.uniform(-_ABOUT, _ABOUT, (_CONFIGURATIONS, platform.dof + len(leg.moving)))
+        twists, shifts = np.split(moves, [platform.dof], axis=1)
+        homes = np.repeat(platform.home_pose.as_matrix(), _CONFIGURATIONS, axis=0)
+        drawn = platform.displaced(homes, twists * lengths)
+        poses, (joints,), gaps = _closed(
+            [closure], drawn, [leg.home + shifts * leg.scales], _SINGULAR
+        )
+        near = gaps <= _CLOSED * leg.size
+        joints, poses = joints[near], poses[near]
     elif leg.closes == "frame":
         poses = closure.frame(joints)
     else:  # the platform is where the leg puts it, turned at random

@@ -1,7 +1,7 @@
-"""Small matrices and turns, one for each of N poses, all at once, and so many as memory holds well.
+"""Small matrices and turns, one for each of N poses, all at once, of shape (N, …).
 
-Arrays have shape (N, …). They are quickest where memory runs along the poses (``.T`` of arrays of
-shape (…, N)): NumPy then does one long loop instead of N short ones.
+They are quickest where memory runs along the poses (``.T`` of arrays of shape (…, N)): NumPy then
+does one long loop instead of N short ones.
 """
 
 from __future__ import annotations
@@ -87,10 +87,7 @@ def least_squares(a: Array, b: Array) -> Array:
 
 
 def left_null(matrix: Array) -> Array:
-    """Return orthonormal columns N with Nᵀ A = 0, shape (N, m, p) to (N, m, m - p).
-
-    They follow A without a jump: det [A N] is positive.
-    """
+    """Return orthonormal columns N with Nᵀ A = 0, (N, m, p) to (N, m, m - p); det [A N] > 0."""
     count, m, p = matrix.shape
     if p == 0:
         return np.broadcast_to(np.eye(m), (count, m, m))
@@ -129,11 +126,7 @@ def block_diagonal(parts: Sequence[Array]) -> Array:
 
 
 def turned(matrices: Array, vectors: Array) -> Array:
-    """Return R v of poses, shape (N, 4, 4), and vectors (3, k, N or 1), shape (3, k, N).
-
-    Of vectors that are the same at all poses one product of matrices: the poses' entries, in a row,
-    times what each vector takes of them.
-    """
+    """Return R v of poses, shape (N, 4, 4), and vectors (3, k, N or 1), shape (3, k, N)."""
     if vectors.shape[2] != 1:
         return np.einsum("nij,jkn->ikn", matrices[:, :3, :3], vectors)
     k = vectors.shape[1]
@@ -157,8 +150,7 @@ def cross(a: Array, b: Array) -> Array:
 def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
     """Return the velocity of a platform point for unit platform twists, shape (N, 3, dof).
 
-    Arms go from the platform's origin to the point, base axes, shape (N, 3), [m]; the platform
-    moves in some rows of a twist, linear first.
+    Arms go from the platform's origin to it, (N, 3), [m]; it moves in some rows of a twist.
     """
     columns = np.zeros((3, len(twist_rows), len(arm)))
     for index, row in enumerate(twist_rows):
@@ -172,10 +164,9 @@ def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
 
 
 def turn_between(first: Array, second: Array) -> Array:
-    """Return the rotation vectors, base axes, that take second to first, shape (N, 3), [rad].
+    """Return the rotation vectors e = log(R₁ R₂ᵀ) of matrices (N, 3, 3), shape (N, 3), [rad].
 
-    Of matrices (N, 3, 3). e = log(R₁ R₂ᵀ): a turn ω of R₁ changes it by J⁻¹(e) ω, one of R₂ by
-    −J⁻¹(e)ᵀ ω, with the inverse left Jacobian J⁻¹.
+    A turn ω of R₁ changes e by J⁻¹(e) ω, one of R₂ by −J⁻¹(e)ᵀ ω, J⁻¹ the inverse left Jacobian.
     """
     # from R − Rᵀ, which is quick; farther than a quarter turn, where that gets small again, SciPy's
     turns = first @ second.transpose(0, 2, 1)
@@ -189,10 +180,7 @@ def turn_between(first: Array, second: Array) -> Array:
 
 
 def inverse_left_jacobian(vectors: Array) -> Array:
-    """Return the derivative of a rotation vector by a turn on the left, shape (N, 3, 3).
-
-    1 − S/2 + f S², S the matrix of v ×, S² = v vᵀ − |v|² 1.
-    """
+    """Return 1 − S/2 + f S² of rotation vectors, (N, 3, 3); S is v ×, S² = v vᵀ − |v|² 1."""
     squares = (vectors * vectors).sum(axis=1)
     angles = np.sqrt(squares)
     small = angles < _SERIES

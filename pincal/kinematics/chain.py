@@ -2,13 +2,10 @@
 
 Configurations of the chain are linear in the leg's joints and parameters,
 ``q = J joints + S parameters``; a tie, such as an azimuth that turns a point but not
-what follows, is a row of S with several entries, and a geared joint is a row of J in the column of
-the joint that it follows. A parameter that deforms from row to row is at
-p + ε: its deformation ε is one more joint, whose column of J is the parameter's of S. On the
-platform's side a chain of parameters alone leads to the leg's platform point.
-
-If the ratio of gears is a parameter, a position is the product of a joint's and a parameter, the
-only one that is not linear: what each of the two moves is in proportion to the other.
+what follows, is a row of S with several entries, a geared joint a row of J in the column of
+the joint that it follows. A parameter that deforms from row to row is at p + ε: ε is one more
+joint, whose column of J is the parameter's of S. If the ratio of gears is a parameter, a position
+is a product, the only one that is not linear.
 """
 
 from __future__ import annotations
@@ -34,8 +31,7 @@ _forest = lru_cache(maxsize=64)(Forest)
 class Chain:
     """Elementary joints in a row, and how leg joints and parameters move them.
 
-    The first ones follow parameters that do not deform, and stand still in all configurations:
-    chains that differ only there share the forest of the others.
+    The first follow parameters alone: chains that differ only there share the others' forest.
     """
 
     def __init__(
@@ -77,10 +73,9 @@ class Chain:
         return _begun(self, parameters.tobytes())
 
     def motion(self, parameters: Array, joints: Array) -> Motion:
-        """Return where the tip is, and how each leg joint and then each parameter moves it.
+        """Return where the tip is, and how it moves with each leg joint and then each parameter.
 
-        Parameters have shape (n_params,), joints, [rad] or [m], and behind them deformations, if
-        there are any, shape (N, n_joints [+ n_deformed]).
+        Parameters are (n_params,), joints, then deformations, (N, n_joints [+ n_deformed]).
         """
         return motion((self,), (self.begin(parameters),), joints)
 
@@ -96,10 +91,9 @@ def _begun(chain: Chain, parameters: bytes) -> Begun:
 
 
 def motion(chains: Sequence[Chain], begun: Sequence[Begun], joints: Array) -> Motion:
-    """Return where the tips of L alike chains are, and how joints and parameters move them.
+    """Return where the tips of L alike chains are, and how they move: see ``Chain.motion``.
 
-    Joints of each stand below those of the one before, shape (L N, n_joints …): see
-    ``Chain.motion``.
+    Joints of each stand below those of the one before, shape (L N, n_joints …).
     """
     values = np.stack([values_of_leg for values_of_leg, _, _ in begun])
     q = np.empty((len(chains), len(joints) // len(chains), values.shape[1]))

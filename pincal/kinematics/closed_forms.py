@@ -3,13 +3,9 @@
 A pointing joint, a revolute in the plane or a universal in space, carries either a rod, and is
 moved along a circle or a line by a drive (planar dyads, deltas, rotary hexapods, carriages), or a
 slide through its own centre (struts, cables). They start Newton's method on the closure one step
-from its end, and say at once what is out of reach. Axes and points are read off the chain at zero
-joint positions, so that the forms hold for any parameter values and URDF frames.
-
-Planar dyads, struts and cables reach a platform point if its distance from the leg's centre lies
-between two bounds (a shell), and on the right side of planes. Stroke, elbow margin and the turn of
-a universal joint all take this form, which for many positions and orientations at once is a
-product of matrices. What bars other driven rods is a shell too, and more.
+from its end, and say at once what is out of reach: a shell around the leg's centre, cut by planes,
+which for many positions and orientations at once is a product of matrices. Axes and points are
+read off the chain at zero joint positions, for any parameter values and URDF frames.
 """
 
 from __future__ import annotations
@@ -67,10 +63,9 @@ class ClosedForm:
         return np.asarray((self.frame @ np.array((c * x - s * y, s * x + c * y, z))).T)
 
     def joints(self, targets: Array) -> tuple[Array, Mask]:
-        """Return joint positions that take the tip to targets, (N, n_joints), and what is in reach.
+        """Return joints that take the tip to targets, (N, n_joints), and what is in reach.
 
-        Out of a rod's reach the leg is stretched or folded towards the target; a slide reaches all
-        but the centre.
+        Out of a rod's reach the leg is stretched or folded towards the target.
         """
         if self.frame is None:
             arm = self._from_centre(targets)
@@ -99,10 +94,7 @@ class ClosedForm:
         return [at_home + wrapped(q - at_home) for q, at_home in zip(angles, home, strict=True)]
 
     def _driven(self, frame: Array, targets: Array) -> tuple[Array, Array, tuple[Array, ...], Mask]:
-        """Return a drive's positions (N,), rods turned back to its zero, (3, N), turns, and reach.
-
-        Rods are in the frame; turns are cosines and sines by which the drive turns them.
-        """
+        """Return drives (N,), rods turned back to zero, (3, N), turns (cos, sin), and reach."""
         radial, way, height = frame.T @ self._from_centre(targets).T
         with np.errstate(all="ignore"):
             if not self.radius:
@@ -276,7 +268,7 @@ class Reach:
         return inside
 
     def holds_each(self, positions: Array, arms: Array) -> Mask:
-        """Return which pairs of position (P, 3), [m], and orientation the leg reaches, (P, O).
+        """Return which pairs of position (P, 3), [m], and orientation are reached, (P, O).
 
         Arms are the platform point turned by each orientation, R b, shape (3, O), [m].
         """

@@ -1,10 +1,9 @@
 """Legs closed at poses, in their working modes, and what their sensors read there.
 
-Newton's method on closure from a start in the mode, the sign of det ∂c/∂(θ, p) at home. Some legs
-have a closed form; any other is sampled once: of many joint positions in its mode, the one whose
-tip is nearest is a start from which Newton's method stays in the mode. A pose that a leg cannot
-reach in its mode is NaN, never a wrong branch. A homed sensor counts from the joint's position at
-the platform's home pose, which is a leg closed too.
+Newton's method on closure from a start in the mode, the sign of det ∂c/∂(θ, p) at home: by a
+closed form, or the nearest of sampled tips. A pose that a leg cannot reach in its mode is NaN,
+never a wrong branch. A homed sensor counts from the joint's position at the platform's home pose,
+which is a leg closed too.
 """
 
 from __future__ import annotations
@@ -37,9 +36,7 @@ _OUT_OF_REACH = 3.0  # times the widest gap between sampled tips: farther tips a
 def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tuple[Array, Mask]:
     """Return joint positions near those that close the leg, and where that may be possible.
 
-    Shapes (N, n_joints), [rad] or [m], and (N,). A planar dyad that cannot reach a pose starts
-    stretched or folded towards it. Attempts count from 0; each gives another sampled start, a
-    closed form has one.
+    Shapes (N, n_joints), [rad] or [m], and (N,). Each attempt, from 0, gives another sampled start.
     """
     form = closed_form(closure)
     if form:
@@ -103,11 +100,7 @@ def _places(closure: LegClosure, matrices: Array) -> Array:
 
 
 def mode_sign(closure: Closure) -> Array:
-    """Return the sign of det ∂c/∂(θ, p), shape (N,).
-
-    One where the closure is not square, or where no joint is passive: those that are read say
-    themselves how the leg bends.
-    """
+    """Return the sign of det ∂c/∂(θ, p), (N,); 1 where that is not square or none is passive."""
     leg = closure.leg.leg
     order, count = [*leg.active, *leg.passive], len(closure.gap)
     if len(order) != closure.gap.shape[1] or not leg.passive:
@@ -163,9 +156,8 @@ def close(
 ) -> ClosedLegs:
     """Return L alike legs closed at poses (L N, 4, 4), rows of each below those of the one before.
 
-    Influences, by which parameters of a leg deform that is alone, have shape (N, n_influences), and
-    are at their reference if not given. Joints near those that close a leg, shape (L N, n_joints),
-    are found in its working mode if not given; where NaN it counts as not reached.
+    Influences, (N, n_influences), are of a leg that deforms, which is alone. Joints near those that
+    close a leg, (L N, n_joints), are found in its mode if not given; where NaN it is not reached.
     """
     if near is None:
         by_leg = zip(legs, parted(matrices, len(legs)), strict=True)
@@ -279,10 +271,8 @@ def started(
 ) -> Array:
     """Return joints of L alike legs as rows say, passive ones where a search begins.
 
-    Those, N rows of each leg below those of the one before, are near such that close the legs at
-    poses (L N, 4, 4), or as they are given, (L N, n_joints …). Deformations stand behind, shape
-    (L N, n_joints + n_deformed), [rad] or [m]. Known are readings, then influences, shape
-    (L N, n_active [+ n_influences]).
+    Those are near such that close the legs at poses (L N, 4, 4), or given, (L N, n_joints …); then
+    deformations. Known are readings, then influences, shape (L N, n_active [+ n_influences]).
     """
     if near is None and legs[0].leg.passive:
         near = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
@@ -328,10 +318,7 @@ def close_legs(
     influences: Sequence[Array | None] | None = None,
     near: Sequence[Array] | None = None,
 ) -> list[tuple[list[int], ClosedLegs]]:
-    """Return all legs closed at the same poses: places of alike ones, and these closed in one call.
-
-    Influences and joints near those that close them are given leg by leg: see ``close``.
-    """
+    """Return all legs closed at the same poses: places of alike ones, closed in one call each."""
     groups = []
     for places in grouped([leg.form for leg in legs], len(matrices)):
         deforming = None if influences is None else influences[places[0]]  # what deforms is alone
@@ -344,10 +331,9 @@ def close_legs(
 def by_leg(
     groups: Sequence[tuple[Sequence[int], Group]], value: Callable[[Group], Any]
 ) -> list[Any]:
-    """Return values of all legs in order, shape (N, …) each, from those of groups of alike legs.
+    """Return values of all legs in order, (N, …) each, from those of groups, (L N, …).
 
-    Groups are places of legs among all, and what has the value: rows of each leg below those of the
-    one before, shape (L N, …).
+    Groups are places of alike legs among all, and what has the value.
     """
     values: dict[int, Any] = {}
     for places, group in groups:

@@ -5,12 +5,8 @@ c(x, θ, p; φ) = p_tip(θ, p; φ) − (r + R b(φ)) = 0, with pose x, active jo
 passive joints p and parameters φ. A leg that closes a frame has rows for its turn as well:
 the rotation vector from the platform's frame to the tip's, times the leg's size. Passive joints
 are eliminated by projection on the left null space N of ∂c/∂p: Nᵀ c is what the leg demands of
-pose, readings and parameters, whatever its passive joints do. The leg of a usual mechanism demands
-one equation; one with fewer passive joints more, a serial arm six.
-
-A leg that is a tree has several ends, each a chain from the base: their rows are stacked, and
-passive joints eliminated of all at once. A loop within the leg is an end that meets another frame
-of the leg in place of the platform.
+pose, readings and parameters, one equation of a usual leg, six of a serial arm. Rows of the ends of
+a tree are stacked; a loop within is an end that meets another frame of the leg.
 """
 
 from __future__ import annotations
@@ -45,8 +41,8 @@ from pincal.types import Array
 class Closure:
     """Closure c of alike legs, and its derivatives, at N configurations; m rows are kept.
 
-    Each is worked out where it is asked for. A row of Nᵀc is a force on the tip, and what it
-    changes by along a motion is the force's power: of many parameters only that is worked out.
+    Each is worked out where it is asked for. A row of Nᵀc is a force on the tip, whose power along
+    a motion is what the row changes by: of many parameters only that is worked out.
     """
 
     leg: LegClosure
@@ -64,9 +60,9 @@ class Closure:
 
     @cached_property
     def turning(self) -> tuple[Array, Array, Array] | None:
-        """Of a leg that closes a frame: the r rows of c for its turn, shape (N, r), [m].
+        """Of a leg that closes a frame: the r rows of c for its turn, (N, r), [m].
 
-        And how turns of the tip and of the platform change them, shape (N, r, 3) each.
+        And how turns of the tip and of the platform change them, (N, r, 3) each.
         """
         if not self.leg.turns:
             return None
@@ -166,10 +162,7 @@ class Closure:
         return power.transpose(2, 0, 1)
 
     def passive_step(self, gap_change: Array | None = None) -> Array:
-        """Return the Gauss-Newton step of the passive joints, shape (N, n_passive).
-
-        Other steps taken at the same time may change c, shape (N, m).
-        """
+        """Return the Gauss-Newton step of passive joints, (N, n_passive), if c changes, (N, m)."""
         gap = self.gap if gap_change is None else self.gap + gap_change
         transposed = self.passive.transpose(0, 2, 1)
         normal = product(transposed, self.passive)
@@ -249,10 +242,7 @@ class TreeClosure(Closure):
 
 
 class LegClosure:
-    """Evaluates the closure of one leg at given parameter values, or that of one of its ends alone.
-
-    A value: equal legs at equal parameters are equal, so that what is read off them is found again.
-    """
+    """Closure of one leg at parameter values, or of one of its ends alone: a hashed value."""
 
     def __init__(
         self, leg: Leg, platform: Platform, parameters: Array | None = None, end: int | None = None
@@ -307,9 +297,8 @@ class LegClosure:
         return law_of_deformations(self.leg, self.by_name)
 
     def deformed(self, joints: Array, influences: Array | None = None) -> Array:
-        """Return joint positions, and behind them how far parameters deform.
+        """Return joint positions with deformations behind, (N, n_joints + n_deformed).
 
-        Shape (N, n_joints + n_deformed), [rad] or [m]; the same array if nothing deforms.
         Influences of the leg, shape (N, n_influences), are at their reference if not given.
         """
         if not self.leg.deformed:
@@ -345,10 +334,7 @@ class LegClosure:
 
     @cached_property
     def form(self) -> tuple[object, ...]:
-        """What alike legs have in common: they may be evaluated in one call.
-
-        One that deforms, or closes a frame, is like no other: its rows are those of one leg.
-        """
+        """What alike legs, which may be evaluated in one call, have in common."""
         leg, placing = self.leg, self.point_at(self.leg.home[None]).parameters
         if leg.deformed or self.projects:
             return (object(),)
@@ -356,10 +342,7 @@ class LegClosure:
         return (*self.chain.form, self.platform, *sizes, *leg.active, "passive", *leg.passive)
 
     def frame(self, joints: Array) -> Array:
-        """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
-
-        Joints are those of ``evaluate``.
-        """
+        """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4)."""
         moved, point = self.motion(joints), self.point_at(joints)
         matrices = np.tile(np.eye(4), (len(joints), 1, 1))
         matrices[:, :3, :3] = moved.turns @ point.turn.transpose(0, 2, 1)

@@ -22,10 +22,7 @@ _CLOSE = 2  # joints: bodies nearer than that along the chain touch by design
 def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path) -> Plan:
     """Return the configurations, with readings, at which an arm is free of itself by its URDF.
 
-    Raises:
-        FileError: the file or one of its meshes cannot be read.
-        MechanismError: no serial arm, no such joint, no readings, or no collision geometry.
-        ObservabilityError: every configuration collides.
+    Raises: see ``free_of_collision``; ObservabilityError where every configuration collides.
     """
     leg = mechanism.legs[0]
     if len(mechanism.legs) > 1 or leg.passive or offered.readings is None:
@@ -102,13 +99,7 @@ def _collision_model(path: Path) -> tuple[pin.Model, pin.GeometryModel]:
 
 
 def check_mesh(path: str | Path, corners: Array, triangles: int) -> None:
-    """Raise if a mesh is not what its file was meant to hold: readers take what they can.
-
-    It has corners of shape (n, 3), and so many triangles were read.
-
-    Raises:
-        FileError: it has no triangles, numbers that are not finite, or an end that is missing.
-    """
+    """Raise FileError if a mesh lacks triangles, finite corners (n, 3), or its end."""
     if not triangles or not len(corners):
         raise FileError(f"{path}: a mesh without triangles; write it anew, or take it out")
     if not np.isfinite(corners).all():

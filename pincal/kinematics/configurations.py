@@ -1,9 +1,8 @@
 """All legs at configurations: inverse kinematics of poses, or readings that do not follow.
 
-A pose that a leg cannot reach in its working mode is NaN with a reason, never a wrong branch. The
-readings of a serial arm do not follow from its pose, and legs with fewer joints than their closure
-has rows reach a surface of poses only: a plan carries readings then, and forward kinematics gives
-the poses.
+The readings of a serial arm do not follow from its pose, and legs with fewer joints than their
+closure has rows reach a surface of poses only: a plan carries readings then, and forward kinematics
+gives the poses.
 """
 
 from __future__ import annotations
@@ -177,10 +176,7 @@ def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
 
 
 def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
-    """Return the columns of influences of configurations commanded in order, (N, n_influences).
-
-    None if no term depends on any. Poses, in the base frame, may be NaN.
-    """
+    """Return columns of influences of a plan's rows in order, (N, n_influences), or None."""
     if not mechanism.influences:
         return None
     readings = plan.readings
@@ -205,8 +201,7 @@ def home_of(mechanism: Mechanism) -> Plan:
 def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
     """Return all joints at planned configurations: by inverse kinematics, or as readings say.
 
-    Where readings say, a leg counts as reached if it closes within a hundredth of its size, as
-    one that was measured does.
+    There a leg counts as reached if it closes within a hundredth of its size.
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is None:
@@ -268,10 +263,9 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
 
 
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:
-    """Return the poses that a mechanism commands and their readings, and why some have none.
+    """Return poses (N, dof) and readings (N, n_readings) that a mechanism commands, or reasons.
 
-    Readings of a plan are commanded, and the poses are those of the mechanism then. Shapes (N, dof)
-    and (N, n_readings); NaN where there is a reason, which is else empty.
+    Readings of a plan are commanded; NaN where there is a reason, which is else empty.
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is not None:
@@ -287,8 +281,7 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
 def shifted(mechanism: Mechanism, planned: Plan | Array, shifts: Callable[[Array], Array]) -> Plan:
     """Return configurations with the platform shifted, turned as it was; in reach or not.
 
-    Readings are NaN where none take it there. Shifts follow from the poses ``T_base_platform``,
-    (N, 4, 4): shape (N, 3), base axes, [m].
+    Shifts follow from the poses ``T_base_platform``, (N, 4, 4): shape (N, 3), base axes, [m].
     """
     plan, platform = as_plan(mechanism, planned), mechanism.platform
     poses = command(mechanism, plan)[0]
@@ -304,12 +297,7 @@ def shifted(mechanism: Mechanism, planned: Plan | Array, shifts: Callable[[Array
 
 
 def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the plan") -> None:
-    """Raise if no configuration of a plan, named for the message, is in reach.
-
-    Raises:
-        MeasurementError: none is.
-        MechanismError: poses or readings of a wrong shape, or not finite.
-    """
+    """Raise MeasurementError if no configuration of a plan, named so, is in reach."""
     reasons = command(mechanism, planned)[2]
     if all(reasons):
         first = planned.place(0) if isinstance(planned, Plan) else "row 1"
@@ -318,10 +306,9 @@ def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the 
 
 
 def nearby(mechanism: Mechanism, planned: Plan | Array, count: int, size: float) -> Plan:
-    """Return generic configurations about planned ones, at least ``count``.
+    """Return at least so many generic configurations about planned ones; the size is [m].
 
-    What moves the platform as frames would at a few poses need not do so elsewhere. The planned
-    ones are in reach; the mechanism has a size [m].
+    What moves the platform as frames would at a few poses need not do so elsewhere.
     """
     plan, platform, rng = as_plan(mechanism, planned), mechanism.platform, np.random.default_rng(0)
     rounds, influences = -(-count // max(len(plan), 1)), {}

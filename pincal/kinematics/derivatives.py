@@ -27,12 +27,11 @@ _FAR = 1e-2  # of a leg's size, from which a gap's curvature counts
 def nearest_closure(
     legs: Sequence[LegClosure], matrices: Array, known: Array, joints: Array | None = None
 ) -> tuple[Closure, Array]:
-    """Return the closure of L alike legs at poses and readings, |c| least, and the joints there.
+    """Return the closure of L alike legs at poses and readings, |c| least, and the joints.
 
-    Poses and readings need not agree: what is left of the closure, Nᵀ c, exists out of reach and
-    stays tame near singularities. Poses have shape (L N, 4, 4), N of each leg below those of the
-    one before; readings [rad] or [m], then influences, (L N, n_active [+ n_influences]). Passive
-    joints start near those that close the legs, or at joints (L N, n_joints [+ n_deformed]).
+    What is left of the closure, Nᵀ c, exists out of reach and stays tame near singularities. Poses
+    are (L N, 4, 4), readings, then influences, (L N, n_active [+ n_influences]). Passive joints
+    start near those that close the legs, or at joints (L N, n_joints [+ n_deformed]).
     """
     leg = legs[0].leg
     positions, count = started(legs, matrices, known, joints), len(matrices) // len(legs)
@@ -94,10 +93,7 @@ class Demand(NamedTuple):
 
     @property
     def jacobian(self) -> Array:
-        """∂(predicted reading)/∂φ, shape (N, n_active, n_params): −(∂e/∂ψ)⁻¹ ∂e/∂φ.
-
-        Of least squares where e has more rows than readings.
-        """
+        """∂(predicted reading)/∂φ, (N, n_active, n_params): −(∂e/∂ψ)⁻¹ ∂e/∂φ, by least squares."""
         return -least_squares(self.reading, self.parameter)
 
 
@@ -106,8 +102,7 @@ def demands(
 ) -> list[Demand]:
     """Return what each of L alike legs demands, from their closures at N configurations.
 
-    Rows of each stand below those of the one before. Known are readings, then influences, shape
-    (L N, n_active [+ n_influences]).
+    Known are readings, then influences, shape (L N, n_active [+ n_influences]).
     """
     by_parameter, drive = closure.constraint_by_parameter, closure.drive
     columns = (closure.constraint, closure.constraint_by_pose, joints, by_parameter, drive, known)
@@ -119,10 +114,7 @@ def demands(
 
 
 def _derivatives(leg: LegClosure, rows: Array, drive: Array, known: Array) -> tuple[Array, Array]:
-    """Return ∂e/∂φ, (N, k, n_params), and ∂e/∂ψ, (N, k, n_active), of ∂e/∂φ and ∂e/∂θ of geometry.
-
-    A deformation is added to its parameter, so ∂e/∂a = ∂e/∂p · b.
-    """
+    """Return ∂e/∂φ, (N, k, n_params), and ∂e/∂ψ, (N, k, n_active), by what rows of geometry are."""
     law, parameter = sensor_law(leg), rows.copy("K")
     parameter[:, :, law.parameter_places] += product(drive, law.by_parameter(known))
     reading = drive * law.slopes(known)[..., None, :]

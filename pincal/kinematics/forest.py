@@ -1,9 +1,8 @@
 """A forest is one Pinocchio model with many copies of a chain: one call evaluates many poses.
 
-A call from Python into Pinocchio costs more than the kinematics of one leg. With B
-copies side by side in one model, one ``computeJointJacobians`` evaluates B
-configurations, and ``data.J`` holds every joint column of every copy. For other programs a
-mechanism is one model with its loops as constraints (``pinocchio_model``).
+A call from Python into Pinocchio costs more than the kinematics of one leg: with B copies side by
+side, ``data.J`` of one ``computeJointJacobians`` holds every joint column of every copy. For other
+programs a mechanism is one model with its loops as constraints (``pinocchio_model``).
 """
 
 from __future__ import annotations
@@ -63,10 +62,9 @@ class Forest:
         spatial: bool = True,
         copies: int | None = None,
     ) -> None:
-        """Make the forest of a chain of joints, base first; of as many copies as pay.
+        """Make so many copies of a chain of joints, base first, or as many as pay.
 
-        Its tip is a constant placement after the last joint, row by row, wanted in space or in the
-        plane across z only.
+        Behind the last joint the tip is a constant placement, in space or in the plane across z.
         """
         chain = chain or (Elementary("rz"),)  # one that nobody turns
         self.chain, self.spatial = chain, spatial
@@ -91,8 +89,8 @@ class Forest:
     ) -> Motion:
         """Return where the tips of L alike chains are and how they move.
 
-        Configurations have shape (L, N, n), rates of the chains' joints in k motions (k, n). Each
-        chain begins where another one ends that stands still, or at the base's origin.
+        Configurations are (L, N, n), rates of the joints in k motions (k, n). Each chain begins
+        where another one ends that stands still, or at the base's origin.
         """
         legs, count, n = configurations.shape
         blocks, size = -(-count // self.copies), self.copies * self.width
@@ -135,8 +133,7 @@ class Forest:
 class Motion:
     """Tips of chains at N configurations, and their velocities in k motions; base frame.
 
-    Of L alike chains, rows of each stand below those of the one before. In the plane across z
-    positions and velocities have two rows, and turning one.
+    In the plane across z positions and velocities have two rows, and turning one.
     """
 
     tips: Array

@@ -1,11 +1,8 @@
 """Forward kinematics: poses of readings, by Newton's method on the pose and all passive joints.
 
-Passive joints are eliminated leg by leg (projection on the left null space of their
-columns), so each step solves one small system for the platform's twist. With more legs than
-freedoms it is a least-squares system, and the pose is that of the least gaps [m].
-
-Newton's method goes astray where readings are far from home's: such poses are followed step by
-step on the way of the readings from home.
+Passive joints are eliminated leg by leg, so each step solves one small system for the platform's
+twist; with more legs than freedoms by least squares, the pose of the least gaps [m]. Where it goes
+astray, readings are followed step by step on their way from home.
 """
 
 from __future__ import annotations
@@ -41,10 +38,7 @@ from pincal.types import Array, Index, Mask
 
 
 class MovingLegs:
-    """Alike legs, their places among all, and their joints on the way to a pose.
-
-    Joints have shape (L, N, n_joints [+ n_deformed]) and are changed in place.
-    """
+    """Alike legs, their places among all, and joints on the way to a pose, changed in place."""
 
     def __init__(
         self,
@@ -53,10 +47,9 @@ class MovingLegs:
         known: Sequence[Array],
         matrices: Array,
     ) -> None:
-        """Take some legs of all, as readings say, passive joints near those that close them.
+        """Take some legs of all at poses (N, 4, 4), passive joints near those that close them.
 
-        Known are of each leg readings, then influences, shape (N, n_active [+ n_influences]); poses
-        have shape (N, 4, 4).
+        Known are of each leg readings, then influences, shape (N, n_active [+ n_influences]).
         """
         self.places, self.legs = places, [every[place] for place in places]
         rows = stacked([known[place] for place in places])
@@ -236,15 +229,11 @@ def _forward(
 def with_loads(
     mechanism: Mechanism, influences: Array | None, readings: Array, poses: Array | None = None
 ) -> Array | None:
-    """Return columns of influences with the loads of joints and links, where they were not given.
+    """Return columns of influences with the loads of joints and links that were not given.
 
-    They are those of the machine as drawn at the poses where the platform is: a term depends on
-    nothing that is identified. Where a pose is not known, at that to which the readings would take
-    the machine as drawn, or home. Where an arm stands follows from its
-    readings alone: its loads are the same before and after calibration, wherever it was measured.
-
-    Influences have shape (N, n_influences), readings (N, n_readings), [rad] or [m], poses in the
-    base frame (N, dof).
+    They are those of the machine as drawn, for a term depends on nothing that is identified, at
+    poses (N, dof), base frame; or where readings (N, n_readings) would take it, or home. Where an
+    arm stands follows from its readings alone, wherever it was measured.
     """
     if influences is None or not mechanism.weighs:
         return influences
@@ -301,10 +290,7 @@ def _solve(
 
 
 def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array | None:
-    """Return the poses that follow from a leg whose every joint is read, shape (N, 4, 4).
-
-    None if there is no such leg. Known are, leg by leg, readings and influences.
-    """
+    """Return the poses of a leg whose every joint is read, (N, 4, 4), or None if there is none."""
     for leg, rows in zip(legs, known, strict=True):
         if leg.leg.is_arm:
             home = np.broadcast_to(leg.platform.home_pose.as_matrix(), (len(rows), 4, 4))

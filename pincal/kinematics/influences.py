@@ -1,7 +1,6 @@
 """Influence quantities of rows: what terms depend on beside readings, as columns.
 
-Temperature, time and whatever else is measured are given. From which side a joint came follows from
-the order of rows where no column says it.
+From which side a joint came follows from the order of rows where no column says it.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ Influences = Mapping[str, Array | float] | Array
 def influence_columns(
     mechanism: Mechanism, measured: Influences | None, count: int
 ) -> Array | None:
-    """Return the columns of a mechanism's influences, shape (N, n_influences).
+    """Return the columns of a mechanism's influences, (N, n_influences), or None if it has none.
 
-    Measured are, by column, a number for all rows or one for each, shape (N,); or all columns. NaN,
-    at its reference, where nothing is given; None if no term depends on any.
+    Measured are, by column, a number for all rows or one for each, or all columns. NaN, at its
+    reference, where nothing is given.
 
     Raises:
         MeasurementError: a column on which nothing depends, or of a wrong shape.
@@ -111,10 +110,7 @@ def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
 
 
 def weight(mechanism: Mechanism, matrices: Array) -> Array:
-    """Return the weight of platform and payload at poses (N, 4, 4), a wrench at its origin.
-
-    In the platform's freedoms, base axes, shape (N, dof), [N] and [N m].
-    """
+    """Return the weight of platform and payload at poses (N, 4, 4), a wrench of shape (N, dof)."""
     load = mechanism.load or Load()
     force, arms = load.mass * np.array(load.gravity), matrices[:, :3, :3] @ np.array(load.centre)
     wrench = np.concatenate((np.broadcast_to(force, arms.shape), np.cross(arms, force)), axis=1)
@@ -124,10 +120,9 @@ def weight(mechanism: Mechanism, matrices: Array) -> Array:
 def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dict[str, Array]:
     """Return forces and torques of gravity by name (``Mechanism.load_names``), of shape (N,) each.
 
-    Of an active joint, a length or an angle, along its positive direction, [N] or [N m]: what
-    gravity does along it while all (other) active joints are held. With more active joints than
-    freedoms, those of the least that hold the machine. What terms follow is loads of a mechanism's
-    ``drawing``. Readings, shape (N, n_readings), [rad] or [m], belong to poses (N, 4, 4).
+    Along a joint's positive direction, [N] or [N m], while all (other) active joints are held; with
+    more of them than freedoms, those of the least that hold the machine. Readings (N, n_readings)
+    belong to poses (N, 4, 4).
     """
     load, legs = mechanism.load or Load(), nominal_legs(mechanism)
     gravity, closures, links = np.array(load.gravity), [], []

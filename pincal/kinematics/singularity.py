@@ -73,19 +73,15 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
 
 
 def drive_margins(closed: Sequence[tuple[list[int], ClosedLegs]]) -> Array:
-    """Return |Nᵀ ∂c/∂θ| over the drive's lever, one column a leg, shape (N, n_legs).
-
-    Of several drives, the least singular value of their columns, each of unit speed at its best.
-    """
+    """Return |Nᵀ ∂c/∂θ| over the drive's lever, (N, n_legs); the least of several drives."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.stack(by_leg(closed, lambda group: _grip(group.closure)), axis=1)
 
 
 def _grip(closure: Closure) -> Array:
-    """Return the grip of a leg's drives, shape (N,); one of a leg without any, which loses none.
+    """Return the grip of a leg's drives, (N,); one of a leg without any, which loses none.
 
-    The lever of a drive is the speed of the next revolute axis per unit of its rate, at a planar
-    dyad the length l; the tip's speed where there is no such axis.
+    The lever is the next revolute axis's speed, at a planar dyad the length l, or the tip's.
     """
     if not closure.drive.shape[2]:
         return np.ones(len(closure.gap))
@@ -105,20 +101,18 @@ def _grip(closure: Closure) -> Array:
 
 
 def platform_margin(mechanism: Mechanism, lines: Sequence[Array]) -> Array:
-    """Return the determinant of the legs' unit constraint lines, signed as at home, shape (N,).
+    """Return the determinant of unit constraint lines, signed as at home, (N,).
 
-    Lines are of each leg Nᵀ ∂c/∂x, shape (N, k, dof). NaN if a leg does not reach the home pose,
-    which then has no side.
+    Lines are of each leg Nᵀ ∂c/∂x, (N, k, dof). NaN if a leg misses home, which has no side.
     """
     side = np.sign(home_determinant(mechanism)) or 1.0
     return _volume(mechanism, np.concatenate(lines, axis=1)) * side
 
 
 def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
-    """Return the same of poses ``T_base_platform`` by closed forms, before any leg is closed, (N,).
+    """Return the same of poses (N, 4, 4) by closed forms, before any leg is closed, (N,).
 
-    Where a leg does not reach, a number without meaning. None if a leg is no rod or slide, or does
-    not close at home, which then has no side.
+    None if a leg is no rod or slide, or misses home. Where a leg does not reach, it has no meaning.
     """
     poses = np.concatenate((mechanism.platform.home_pose.as_matrix(), matrices))
     rows, lines = mechanism.platform.twist_rows, []
@@ -149,10 +143,7 @@ def _volume(mechanism: Mechanism, lines: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def home_determinant(mechanism: Mechanism) -> float:
-    """Return the determinant at home, with its sign; NaN if a leg misses the home pose.
-
-    Where readings do not follow from poses, with those of home: it need not quite be such a pose.
-    """
+    """Return the determinant at home, with its sign; NaN if a leg misses the home pose."""
     matrices = mechanism.platform.home_pose.as_matrix()
     lines = []
     for closure in nominal_legs(mechanism):
@@ -205,8 +196,7 @@ def least_tensions(
 ) -> Array:
     """Return the least tensions at poses (N, 4, 4), shape (N, n_legs), [N]; NaN where none hold.
 
-    Lines are of each leg −∂L/∂x, shape (N, 1, dof). No tension is below the least, [N], nor below
-    that of the mechanism's cables.
+    Lines are of each leg −∂L/∂x, (N, 1, dof). None is below the least, or that of the cables.
     """
     cables, count = mechanism.cables, len(mechanism.legs)
     surplus = count - mechanism.platform.dof
@@ -244,10 +234,7 @@ def least_tensions(
 def can_hold(
     mechanism: Mechanism, matrices: Array, lines: list[Array], least: float | None = None
 ) -> Mask:
-    """Return where tensions within limits hold the platform, (N,): see ``least_tensions``.
-
-    Those nearest to a middle tension are tried first, which is enough nearly everywhere.
-    """
+    """Return where tensions within limits hold the platform, (N,); near a middle first."""
     A = np.concatenate(lines, axis=1).transpose(0, 2, 1)
     limits = mechanism.cables or Cables()
     low = max(least or 0.0, limits.least)

@@ -50,8 +50,8 @@ class Points:
     def _joined(self) -> tuple[Array, Index]:
         """Points that turn together, base frame, (n, 3), and to which leg each belongs; or −1.
 
-        A platform that does not turn, turns as the base does; else both are one body at home.
-        Where that leaves the axis open, it is home's position, and then the base's z.
+        A platform that does not turn, turns as the base does; else both are one body at home. Where
+        that leaves the axis open, it is home's position, and then the base's z.
         """
         legs = np.arange(len(self.base))
         if not self.mechanism.platform.turns:
@@ -68,9 +68,9 @@ class Points:
         return points, owners
 
     def fitted(self, images: Sequence[int], legs: Sequence[int], sign: float) -> Element | None:
-        """Return the element that best carries some legs onto their images, given by index.
+        """Return the element that best carries legs onto images, by index; None if one is open.
 
-        The sign is 1 of rotations, −1 of reflections. None if the points leave an axis open.
+        The sign is 1 of rotations, −1 of reflections.
         """
         space, sources, targets = self.mechanism.platform.space, list(legs), list(images)
         bodies = self.base, self.platform

@@ -2,9 +2,8 @@
 
 Carried joints keep their variables: under a reflection Q every joint frame becomes
 Q R D with the local mirror D = diag(1, −1, 1), a revolute axis a becomes −D a and a
-prismatic one D a. The result is then brought to a canonical form: axes point to the positive
-side, and a constant turn about a joint's own axis moves into its zero (with γ, in the joint form
-of the sensor, which is how the γ of the 3-RRR paper's Eq. 19 come about).
+prismatic one D a. In canonical form axes point to the positive side, and a constant turn about a
+joint's own axis is in its zero (so the γ of the 3-RRR paper's Eq. 19 come about).
 """
 
 from __future__ import annotations
@@ -46,8 +45,7 @@ def _on_body(
 ) -> tuple[Placement, Array]:
     """Return a placement on base or platform after the body's isometry, (4, 4), and its constant.
 
-    The constant part, (4, 4), was another one before. Of parameters the old values are known, the
-    new ones are set. The context is said where coordinates cannot express it.
+    Constants have shape (4, 4). Old values of parameters are known, new ones set.
     """
     result = Placement(_moved_coordinates(p.coordinates, isometry, old, new, context))
     moved = isometry @ p.displacement(old) @ constant

@@ -1,9 +1,8 @@
 """The symmetry group of a mechanism, detected from geometry, limits, working modes, sensors.
 
-Elements that carry leg points onto leg points are candidates, wherever base and platform frames
-are. Those that carry every leg onto a leg within a tolerance are looked at together: the group is
-the largest closed subset of them, with isometries that are exact, and each of its elements
-is measured again with these. What keeps others out of it is told by name.
+Elements that leg points suggest, and that carry every leg onto a leg within a tolerance, are looked
+at together: the group is the largest closed subset, with isometries that are exact, and each
+element is measured again with these. What keeps others out of it is told by name.
 """
 
 from __future__ import annotations
@@ -130,9 +129,7 @@ class SymmetryGroup:
     def carriers(self, leg: str | None = None) -> tuple[Element, ...]:
         """Return G_C: for each leg, an element that carries one onto it (3-RRR paper, Eq. 7).
 
-        Args:
-            leg: The leg that is carried; leg 1 if not given, which must be carried onto every leg.
-                For another one, the legs of its orbit, in order.
+        Of leg 1, which must be carried onto every leg; of another one, for the legs of its orbit.
 
         Raises:
             SymmetryError: some leg cannot be reached from leg 1.
@@ -155,7 +152,7 @@ class SymmetryGroup:
     def equivariance(self, poses: Poses) -> float:
         """Return the largest |reading of a carried leg at carried poses − reading| (Eq. 5).
 
-        Poses are in reach. The identity carries nothing; readings need not follow from poses then.
+        Poses are in reach. The identity carries nothing.
         """
         if len(self.elements) == 1:
             return 0.0
@@ -183,8 +180,7 @@ _WITHIN, _WRITTEN, _ROUNDED = 1e-6, range(5, 9), 4.0  # tolerance; digits; times
 def written_within(mechanism: Mechanism) -> float:
     """Return the tolerance that parameters leave which were written with 5 to 8 digits.
 
-    Relative to lengths of a metre, [rad] of angles: of four roundings, or 1e-6 if that is more. Of
-    fewer digits numbers are meant as they are.
+    Four roundings, of a metre or [rad], or 1e-6; numbers of fewer digits are meant as they are.
     """
     values = [Decimal(repr(v)).normalize() for leg in mechanism.legs for v in leg.nominal.tolist()]
     digits = max((len(v.as_tuple().digits) for v in values if v), default=0)
@@ -234,8 +230,7 @@ def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGr
 def _meant(fits: LegImages) -> list[Element]:
     """Return a group that leg points suggest, with exact isometries.
 
-    About the base's z axis as it is drawn if that is nearly as good: a fit spreads what one leg is
-    off over all of them.
+    About the base's z axis as drawn if that is nearly as good: a fit spreads what one leg is off.
     """
     elements, points = fits.points.candidates, fits.points
     labels = [tuple(linear_sum_assignment(points.distances(e))[1].tolist()) for e in elements]
@@ -291,9 +286,13 @@ def _named(fits: LegImages, leg: Leg, element: Element, image: Leg) -> Iterator[
         return
     if carried.parameter_names != drawn.parameter_names or carried.active != drawn.active:
         return
+
+    def apart(value: float, unit: str) -> float:
+        return abs(wrapped(value) if unit == "rad" else value)
+
     before, after = carried.nominal_by_name, drawn.nominal_by_name
     for name, unit in drawn.units.items():
-        yield Difference(f"parameter {name!r}", _apart(before[name] - after[name], unit), unit)
+        yield Difference(f"parameter {name!r}", apart(before[name] - after[name], unit), unit)
     platform = fits.mechanism.platform
     if home_mode(carried, platform) != home_mode(drawn, platform):
         yield Difference("working mode (the side on which the leg bends)", None)
@@ -302,11 +301,6 @@ def _named(fits: LegImages, leg: Leg, element: Element, image: Leg) -> Iterator[
             continue
         gains, offsets = zip(a.constants(before), b.constants(after), strict=True)
         yield Difference("gain of the sensor", abs(gains[0] - gains[1]))
-        yield Difference("offset of the sensor", _apart(offsets[0] - offsets[1], unit), unit)
+        yield Difference("offset of the sensor", apart(offsets[0] - offsets[1], unit), unit)
         if not (isinstance(a.zero, str) or isinstance(b.zero, str)):
-            yield Difference("zero of the sensor", _apart(a.zero - b.zero, unit), unit)
-
-
-def _apart(value: float, unit: str) -> float:
-    """Return how large a difference is, of angles without full turns."""
-    return abs(wrapped(value) if unit == "rad" else value)
+            yield Difference("zero of the sensor", apart(a.zero - b.zero, unit), unit)

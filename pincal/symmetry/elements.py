@@ -2,11 +2,9 @@
 
 A pose T = T_base_platform goes to G_base T G_platform⁻¹. If base and platform are drawn about the
 axis of symmetry, both isometries are the same rotation about z or reflection through it (3-RRR
-paper, Eq. 5); of frames that are elsewhere they differ.
-
-Elements that were found one at a time, each within a tolerance, need not be a group. The products
-of what they are meant to be decide which are; averaging over the group then makes their isometries
-exact (K. Grove, H. Karcher, E. Ruh, Math. Annalen 211, 1974).
+paper, Eq. 5). Elements that were found one at a time, each within a tolerance, need not be a group:
+products of what they are meant to be decide which are, and averaging over the group makes their
+isometries exact (K. Grove, H. Karcher, E. Ruh, Math. Annalen 211, 1974).
 """
 
 from __future__ import annotations
@@ -32,11 +30,6 @@ def isometry(Q: Array, t: Array | float = 0.0) -> Array:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = Q, t
     return matrix + 0.0  # no negative zeros
-
-
-def inverse_of(G: Array) -> Array:
-    """Return the isometry that undoes one, shape (4, 4) both."""
-    return isometry(G[:3, :3].T, -G[:3, :3].T @ G[:3, 3])
 
 
 def applied(G: Array, points: Array) -> Array:
@@ -74,10 +67,7 @@ class Element:
 
     @classmethod
     def of(cls, base: Array, platform: Array) -> Element:
-        """Return the element of two isometries, shape (4, 4).
-
-        By angle alone only where that is the same to the last digits: of a group whose elements
-        are nearly so, some would become so and others not, and their products be none of it.
+        """Return the element of two isometries, (4, 4), by angle alone if that is the same.
 
         Raises:
             SymmetryError: one reflects and the other does not: no pose would be carried to a pose.
@@ -114,7 +104,8 @@ class Element:
 
     def inverse(self) -> Element:
         """Return the element that undoes this one."""
-        return Element.of(inverse_of(self.base), inverse_of(self.platform))
+        bodies = ((G[:3, :3].T, G[:3, 3]) for G in (self.base, self.platform))
+        return Element.of(*(isometry(Q, -Q @ t) for Q, t in bodies))
 
     def equals(self, second: Element) -> bool:
         """Return whether two elements are the same but for rounding errors."""
@@ -128,7 +119,8 @@ class Element:
     def matrices(self, matrices: Array) -> Array:
         """Return where poses ``T_base_platform``, shape (N, 4, 4), go: G_base T G_platform⁻¹."""
         # one product for all poses, along which memory runs (see batches)
-        entries = np.kron(self.base, inverse_of(self.platform).T)
+        back = isometry(self.platform[:3, :3].T, -self.platform[:3, :3].T @ self.platform[:3, 3])
+        entries = np.kron(self.base, back.T)
         return np.asarray((entries @ matrices.reshape(-1, 16).T).T.reshape(matrices.shape))
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
@@ -136,10 +128,10 @@ class Element:
         return platform.from_matrices(self.matrices(platform.matrices(poses)))
 
     def positions(self, rotations: Array, slack: float = 0.0) -> Array | None:
-        """Return what it does to the platform's positions in all of some orientations, (N, 3, 3).
+        """Return what it does to positions in some orientations, (N, 3, 3), or None.
 
-        r → Q r + t − R' s, where s is the shift of the platform's isometry: None unless R' s is one
-        and the same but for slack, [m], such as if the platform's frame is on its axis.
+        r → Q r + t − R' s, s the shift of the platform's isometry: R' s must be one and the same
+        but for slack, [m], such as if the platform's frame is on its axis.
         """
         Q, shift = self.matrix, self.platform[:3, 3]
         if not shift.any():
@@ -207,10 +199,9 @@ def dihedral(n: int, azimuth: float = 0.0) -> tuple[Element, ...]:
 
 
 def product_table(elements: Sequence[Element], labels: Sequence[Sequence[int]] = ()) -> Index:
-    """Return the index of each product, first the column's element, then the row's; −1 if none.
+    """Return the index of each product, first the column's element, then the row's; or −1.
 
-    Elements are perhaps not exact. Labels tell those apart that are near each other: indices, such
-    as where they carry legs, of which those of a product are known.
+    Labels tell nearly equal elements apart: indices, such as where they carry legs.
     """
     turns = np.array([e.turns for e in elements])
     products = turns[:, None] @ turns
@@ -223,10 +214,7 @@ def product_table(elements: Sequence[Element], labels: Sequence[Sequence[int]] =
 
 
 def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]:
-    """Return the indices of elements that are meant to be different, the first of each.
-
-    They need not be exact. Labels are as in ``product_table``.
-    """
+    """Return the indices of elements that are meant to be different, the first of each."""
     turns, chosen = np.array([e.turns for e in elements]), list[int]()
     for index, label in enumerate(labels):
         labelled = turns[[i for i in chosen if labels[i] == label]]
@@ -263,49 +251,39 @@ def subgroups(table: Index) -> list[frozenset[int]]:
 
 def largest_closed(table: Index) -> list[int]:
     """Return the indices of the largest closed subset, in order; the identity is index 0."""
-    every = generated(table, range(len(table)))
-    return sorted(every if every is not None else subgroups(table)[-1])
+    return sorted(generated(table, range(len(table))) or subgroups(table)[-1])
 
 
 def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float) -> list[Element]:
-    """Return the elements of a group with isometries that are a group to rounding errors.
+    """Return the elements of a group, the identity first, that are one to rounding errors.
 
-    Args:
-        elements: Of a group, each nearly right; the identity first.
-        centres: A point near the fixed points of the base's isometries, and of the platform's.
-        size: Scale of lengths, [m].
+    Centres, (3,), are near fixed points of the isometries of base and platform; the size is [m].
     """
-    table = product_table(elements)
+    table, parts = product_table(elements), []
     bodies = [e.base for e in elements], [e.platform for e in elements]
-    parts = [_exact_part(body, table, c, size) for body, c in zip(bodies, centres, strict=True)]
+    for isometries, centre in zip(bodies, centres, strict=True):
+        turns = np.array(isometries)[:, :3, :3]
+        for _ in range(_ROUNDS):  # Q by averaging Q(gh) Q(h)ᵀ
+            U, _, Vt = np.linalg.svd(np.einsum("ghij,hkj->gik", turns[table], turns))
+            turns = U @ Vt
+        turns[0] = np.eye(3)
+        for _ in range(2):  # t by a fixed point
+            centre = np.mean([applied(G, centre) for G in isometries], axis=0)
+        centre = centre - (turns @ centre).mean(axis=0)  # less what no element moves
+        if np.linalg.norm(centre) <= SAME * size:
+            centre = np.zeros(3)
+        if max(np.abs(turns[:, :2, 2]).max(), np.abs(turns[:, 2, :2]).max()) <= SAME:
+            # about z to rounding: z stays, or turns over, exactly
+            turns[:, :2, 2] = turns[:, 2, :2] = 0.0
+            turns[:, 2, 2] = np.sign(turns[:, 2, 2])
+        parts.append([isometry(Q, centre - Q @ centre) for Q in turns])
     return [Element.of(base, platform) for base, platform in zip(*parts, strict=True)]
 
 
-def _exact_part(
-    isometries: Sequence[Array], table: Index, centre: Array, size: float
-) -> list[Array]:
-    """Return isometries of one body made exact: Q by averaging Q(gh) Q(h)ᵀ, t by a fixed point."""
-    turns = np.array(isometries)[:, :3, :3]
-    for _ in range(_ROUNDS):
-        U, _, Vt = np.linalg.svd(np.einsum("ghij,hkj->gik", turns[table], turns))
-        turns = U @ Vt
-    turns[0] = np.eye(3)
-    for _ in range(2):
-        centre = np.mean([applied(G, centre) for G in isometries], axis=0)
-    centre = centre - (turns @ centre).mean(axis=0)  # less what no element moves
-    if np.linalg.norm(centre) <= SAME * size:
-        centre = np.zeros(3)
-    if max(np.abs(turns[:, :2, 2]).max(), np.abs(turns[:, 2, :2]).max()) <= SAME:
-        # about z to rounding: z stays, or turns over, exactly
-        turns[:, :2, 2] = turns[:, 2, :2] = 0.0
-        turns[:, 2, 2] = np.sign(turns[:, 2, 2])
-    return [isometry(Q, centre - Q @ centre) for Q in turns]
-
-
 def group_name(elements: Sequence[Element]) -> str:
-    """Return the name of a group: C_n of n rotations about an axis, D_2n with n mirrors through it.
+    """Return the name of a group: C_n of n rotations about an axis, D_2n if n mirrors too.
 
-    Of others, what they have: rotations, the identity among them, and reflections.
+    Of others, how many rotations, the identity among them, and reflections.
     """
     rotations = np.array([e.matrix for e in elements if not e.reflection])
     mirrored = np.array([-e.matrix for e in elements if e.reflection]).reshape(-1, 3, 3)

@@ -1,9 +1,9 @@
 """A leg as it stands in the world, and in what a carried one differs from another.
 
-A leg closed at a pose is the lines of its joints there, and the point where it meets the platform:
-in whatever frames it was drawn, wherever its joints are at zero. An element carries lines to lines.
-A carried leg is like another one if that has the same lines when it is closed, in its working mode,
-at the carried pose; if its joints may go as far from there; and if its sensors read the same.
+A leg closed at a pose is the lines of its joints there, and the point where it meets the platform,
+in whatever frames it was drawn. A carried leg is like another one if that has the same lines when
+it is closed, in its working mode, at the carried pose; if its joints may go as far from there; and
+if its sensors read the same.
 """
 
 from __future__ import annotations
@@ -93,10 +93,9 @@ class StandingLeg:
 
     @cached_property
     def pointing(self) -> list[int]:
-        """Passive revolute joints of which the centre alone counts: they point a rod or a slide.
+        """Passive revolute joints that point a rod or slide: their centre alone counts.
 
-        Turned about what they point they make the same leg, unless limits bar directions in a way
-        that half-spaces do not say.
+        Turned about what they point they make the same leg, if limits bar half-spaces only.
         """
         leg, form = self.closure.leg, closed_form(self.closure)
         if form is None:
@@ -112,30 +111,16 @@ class StandingLeg:
         reach = form.reach() if form is not None and form.frame is None else None
         return None if reach is None or not reach.exact else reach.normals
 
-    def __len__(self) -> int:
-        """Return the number of joints."""
-        return len(self.joints)
-
     @property
-    def names(self) -> list[str]:
-        """Names of the joints, and of the platform points behind them."""
-        return [*(joint.name for joint in self.joints), *self.ends]
-
-    @property
-    def closes(self) -> list[str]:
-        """What its ends close."""
-        return sorted(str(end.closes) for end in self.closure.leg.every_end)
-
-    @property
-    def build(self) -> list[tuple[str, object]]:
+    def build(self) -> dict[str, object]:
         """What has to be equal, by name: like kinds of joints, which of them are read or geared."""
         names = [joint.name for joint in self.joints]
-        return [
-            ("sequence of joints", [joint.kind for joint in self.joints]),
-            ("active joint", self.active),
-            ("gears", [names.index(joint.leader.joint) for joint in self.joints]),
-            ("end", self.closes),
-        ]
+        return {
+            "sequence of joints": [joint.kind for joint in self.joints],
+            "active joint": self.active,
+            "gears": [names.index(joint.leader.joint) for joint in self.joints],
+            "end": sorted(str(end.closes) for end in self.closure.leg.every_end),
+        }
 
     @property
     def base(self) -> Array:
@@ -144,9 +129,9 @@ class StandingLeg:
         return self.points[turning[0]] if turning else self.tip
 
     def like(self, first: StandingLeg, element: Element) -> StandingLeg:
-        """Return the leg with joints and ends in the order of a first one's, carried by an element.
+        """Return the leg, a tree, with joints and ends in the order of one carried by an element.
 
-        A tree has no order of its own: each joint is that whose axis is nearest, of its kind.
+        Each joint is that whose axis is nearest, of its kind.
         """
         size, Q = self.closure.leg.size, element.matrix
         apart = np.abs((first.directions @ Q.T) @ self.directions.T)
@@ -163,14 +148,13 @@ class StandingLeg:
 
 
 def differences(first: StandingLeg, element: Element, second: StandingLeg) -> Iterator[Difference]:
-    """Yield every quantity in which a leg, carried by an element, and a second one differ.
-
-    The second one is at the pose to which that of the first is carried.
-    """
-    if first.closure.leg.ends and first.closes == second.closes and len(first) == len(second):
+    """Yield in what a leg, carried by an element, and one at the carried pose differ."""
+    builds = first.build, second.build
+    ends_alike = builds[0]["end"] == builds[1]["end"]
+    if first.closure.leg.ends and ends_alike and len(first.joints) == len(second.joints):
         second = second.like(first, element)
-    pairs = zip(first.build, second.build, strict=True)
-    unlike = [quantity for (quantity, ours), (_, theirs) in pairs if ours != theirs]
+        builds = builds[0], second.build
+    unlike = [quantity for quantity, value in builds[0].items() if builds[1][quantity] != value]
     if unlike or not second.reached:
         reach = "reach of the pose that home is carried to"
         yield Difference(next(iter(unlike), reach), None)
@@ -180,51 +164,40 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
     shifts = applied(element.base, np.vstack((first.points, first.tips)))
     shifts = shifts - np.vstack((second.points, second.tips))
     apart = lengths(shifts[:, : first.closure.platform.space])
-    for name, shift in zip(second.names, apart.tolist(), strict=True):
+    names = [joint.name for joint in second.joints]
+    for name, shift in zip([*names, *second.ends], apart.tolist(), strict=True):
         yield Difference(f"position of joint {name!r}", shift, "m")
-    yield from _turns_apart(first, element.matrix, second)
-
-
-def _turns_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> Iterator[Difference]:
-    """Yield in what joints differ whose axes a matrix carried: directions, limits, readings."""
-    pointing = first.pointing if first.pointing == second.pointing else []
-    axes = [index for index in range(len(first)) if index not in pointing]
+    Q, pointing = element.matrix, first.pointing if first.pointing == second.pointing else []
+    axes = [index for index in range(len(names)) if index not in pointing]
     axial = [[np.linalg.det(Q) if joint.turns else 1.0] for joint in first.joints]
     directions = axial * first.directions @ Q.T
     signs = np.where((directions * second.directions).sum(axis=1) >= 0.0, 1.0, -1.0)
     chords = lengths(signs[:, None] * directions - second.directions)
     angles = 2.0 * np.arcsin(np.minimum(1.0, chords / 2.0))
     for index in axes:
-        name = second.names[index]
-        yield Difference(f"orientation of joint {name!r}", float(angles[index]), "rad")
+        yield Difference(f"orientation of joint {names[index]!r}", float(angles[index]), "rad")
     if pointing:
-        bars = _bars_apart(first, Q, second)
-        yield Difference(f"orientation of joint {second.names[pointing[0]]!r}", bars, "rad")
+        bars: float | None = 0.0  # if nothing is bounded
+        if first.barred is not None and second.barred is not None:
+            shifts = np.linalg.norm((first.barred @ Q.T)[:, None] - second.barred, axis=2)
+            alike = len(first.barred) == len(second.barred)
+            bars = float(shifts.min(axis=1, initial=np.inf).max(initial=0.0)) if alike else None
+        yield Difference(f"orientation of joint {names[pointing[0]]!r}", bars, "rad")
     for index in axes:
         if first.joints[index].limited or second.joints[index].limited:
             yield _limits_apart(first, second, index, signs[index])
     yield from _readings_apart(first, second, signs[first.active])
 
 
-def _bars_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> float | None:
-    """Return how far apart normals that bound legs are; None if they are not as many."""
-    if first.barred is None or second.barred is None:  # nothing is bounded
-        return 0.0
-    if len(first.barred) != len(second.barred):
-        return None
-    distances = np.linalg.norm((first.barred @ Q.T)[:, None] - second.barred, axis=2)
-    return float(distances.min(axis=1, initial=np.inf).max(initial=0.0))
-
-
 def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: float) -> Difference:
     """Return in what the limits of a joint differ, seen from where the legs stand."""
-    ends = []
-    for shape in (first, second):
-        joint = shape.joints[index]
-        ends.append(np.array((joint.lower, joint.upper)) - shape.positions[index])
-    carried = ends[0] if sign > 0.0 else -ends[0][::-1]
+    carried, ends = (
+        np.array((leg.joints[index].lower, leg.joints[index].upper)) - leg.positions[index]
+        for leg in (first, second)
+    )
+    carried, joint = carried if sign > 0.0 else -carried[::-1], second.joints[index]
     with np.errstate(invalid="ignore"):
-        shifts = np.where(carried == ends[1], 0.0, np.abs(carried - ends[1]))
+        shifts = np.where(carried == ends, 0.0, np.abs(carried - ends))
     finite = bool(np.isfinite(shifts).all())
     if joint.turns and finite:
         shifts = np.abs([wrapped(float(value)) for value in shifts])
@@ -295,10 +268,7 @@ class LegImages:
     def exceeding(
         self, index: int, element: Element, image: StandingLeg, tolerance: float
     ) -> Difference | None:
-        """Return the first difference of a leg, given by its index, that is more than a tolerance.
-
-        It is that of the leg as it is carried from its image; None if there is none.
-        """
+        """Return the first difference of a leg, by index, carried to its image; None within."""
         for difference in differences(self.shapes[index], element, image):
             counts = self.readings or not difference.of_sensor
             if counts and difference.exceeds(tolerance, self.points.size):

@@ -74,11 +74,7 @@ class Axis:
 
     @classmethod
     def spaced(cls, name: str, low: float, high: float, step: float) -> Axis:
-        """Return values from low to high; of an angle's full turn the first end only.
-
-        Raises:
-            WorkspaceError: limits reversed or not finite, or a step that does not fit.
-        """
+        """Return values from low to high; of an angle's full turn the first end only."""
         fault = None
         if not np.isfinite([low, high, step]).all():
             fault = "limits and step must be finite numbers"
@@ -103,11 +99,8 @@ class Axis:
     def parse(cls, text: str | Axis) -> Axis:
         """Return an axis, perhaps of ``NAME [UNIT]=LOW:HIGH:STEP`` or ``NAME [UNIT]=VALUE,…``.
 
-        Without a unit lengths are in [m] and angles in [rad].
-
         Raises:
-            WorkspaceError: a text that is not an axis, an unknown name, a wrong unit, limits
-                reversed, a step that is not positive.
+            WorkspaceError: no axis, an unknown name or unit, or values that are no range.
         """
         if isinstance(text, Axis):
             return text
@@ -187,8 +180,7 @@ class Orientations:
     def of(cls, platform: Platform, *axes: str | Axis) -> Orientations:
         """Return the orientations of a grid, in one of the ways to write them.
 
-        Axes that are not given stay at 0, but an azimuth beside a tilt goes round in steps
-        of 10°.
+        Axes that are not given stay at 0, but an azimuth beside a tilt goes round in steps of 10°.
 
         Raises:
             WorkspaceError: axes that the platform does not have, or of two ways at once.

@@ -1,7 +1,6 @@
 """What makes a pose count: reach in the working mode, joint limits, margins from singularities.
 
-Legs with a closed form are asked first, by shells and half-spaces; what they leave open
-is answered by the closed loops.
+Closed forms are asked first, by shells and half-spaces; what they leave open, by closed loops.
 """
 
 from __future__ import annotations
@@ -143,10 +142,9 @@ class Criteria:
         return inside
 
     def at_readings(self, poses: Array, readings: Array) -> Mask:
-        """Return which configurations count, with poses that forward kinematics gave of readings.
+        """Return which configurations count, of poses (N, dof) at readings (N, n_readings).
 
-        Shapes (N, dof) and (N, n_readings). Legs that digits of a file keep apart at home may be as
-        far apart elsewhere.
+        Legs that digits of a file keep apart at home may be as far apart elsewhere.
         """
         platform, closed = self.mechanism.platform, []
         matrices = platform.matrices(poses)

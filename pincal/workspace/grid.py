@@ -1,8 +1,7 @@
 """Grids of positions at which a workspace is asked, that symmetry maps onto themselves.
 
-A grid is never held whole: positions are made from their numbers. An element of the mechanism's
-group that maps the grid onto itself makes one position of each orbit enough; the lowest number of
-an orbit represents it, so that these form a fundamental domain.
+Positions are made from their numbers, never held all. The lowest number of an orbit under the
+mechanism's group represents it, so that these form a fundamental domain.
 """
 
 from __future__ import annotations
@@ -233,10 +232,7 @@ def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
 
 
 def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) -> Grid:
-    """Return a grid of positions within reach; polar if the mechanism has rotations.
-
-    Axes that are given stay; ``x`` or ``y`` make the grid square.
-    """
+    """Return a grid of positions within reach, with some axes; polar if the mechanism rotates."""
     mechanism = as_mechanism(mechanism)
     axes, n = [Axis.parse(axis) for axis in fixed], mechanism.platform.lengths
     names = {axis.name for axis in axes}
@@ -261,10 +257,7 @@ def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) ->
 
 
 def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
-    """Return a grid of as many values around what counts, or None if that is no closer.
-
-    Axes that were given, by name, stay as they are.
-    """
+    """Return a grid of as many values around what counts, axes by name fixed; None if no closer."""
     if not inside.any():
         return None
     stay, cells, axes, closer = set(fixed), inside.reshape(grid.shape), list(grid.axes), False
@@ -284,11 +277,7 @@ def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
 
 
 def reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return the corners of a box that holds what all legs reach, shape (3,) each, [m].
-
-    Raises:
-        WorkspaceError: no position is within reach of all legs.
-    """
+    """Return the corners of a box that holds what all legs reach, shape (3,) each, [m]."""
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     for leg in mechanism.legs:
         base = np.array(leg.joints[0].placement.xyz)

@@ -1,8 +1,7 @@
 """Workspaces as sets of positions: reached in one orientation, in some, or in all of a set.
 
-Reachable asks for any orientation, total orientation and dexterous for every one; the
-constant orientation workspace has a single one. A position is done with at the
-first orientation that decides it.
+Reachable asks for any orientation, total orientation and dexterous for every one; a position is
+done with at the first orientation that decides it.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ class PositionTest:
 
     @cached_property
     def _turns(self) -> tuple[Array, list[Array]]:
-        """Orientations as matrices, shape (O, 3, 3), and each leg's point turned by them.
+        """Orientations as matrices, (O, 3, 3), and each leg's point turned by them, (3, O).
 
         Those that are likely to decide come first: the far ones if every one must be reached.
         """
@@ -115,11 +114,10 @@ class PositionTest:
 def usable(
     group: tuple[Element, ...], grid: Grid, test: PositionTest, slack: float = 0.0
 ) -> dict[Element, Carrier]:
-    """Return the elements of a group that map what is asked onto itself, positions that count too.
+    """Return elements of a group that map what is asked, and what counts, onto itself.
 
-    With what each does to the numbers of positions. An element that permutes legs oddly turns the
-    determinant's sign over, which the margin from type-2 singularities looks at, unless home is
-    where it was.
+    With what each does to numbers of positions. One that permutes legs oddly turns over the sign
+    that the margin from type-2 singularities looks at, unless home is where it was.
     """
     mechanism, turns = test.mechanism, test.orientations.rotations.as_matrix()
     home, elements = np.array([mechanism.platform.home]), {}
@@ -190,10 +188,9 @@ class Workspace:
 
     @cached_property
     def apart(self) -> int:
-        """Number of positions that count but do not hang together with home's on the grid.
+        """How many positions that count do not hang together with home's on the grid.
 
-        They may belong to another aspect, or hang together by way of other heights and
-        orientations.
+        They may belong to another aspect, or hang together by other heights and orientations.
         """
         if not self.inside.any():
             return 0
@@ -218,11 +215,7 @@ class Workspace:
         return float(max(along, cell))
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the positions that count to a CSV file: x [m], y [m] and, in space, z [m].
-
-        Raises:
-            FileError: the file exists, or cannot be written.
-        """
+        """Write the positions that count to a CSV file: x [m], y [m] and, in space, z [m]."""
         names = "xyz"[: self.test.mechanism.platform.lengths]
         columns = zip(names, self.positions.T, strict=False)
         write_table(path, {f"{name} [m]": map(float, v) for name, v in columns}, force=force)

@@ -1,8 +1,6 @@
 """A workspace is sampled in a box that tightens around the poses that count.
 
-A pose counts if every leg closes in its working mode, within its joint limits, on the
-home side of type-2 singularities, with margins from both types of singularity, and
-if it can be driven to from home so.
+A pose counts if it meets the criteria, and can be driven to from home so.
 """
 
 from __future__ import annotations
@@ -52,10 +50,9 @@ _ROUNDS = 6  # the nearest neighbours first: poses that hang together already ar
 def home_component(
     platform: Platform, samples: Array, counts: Callable[[Array], Mask]
 ) -> Callable[[Array], Mask]:
-    """Return what tells which poses, shape (N, dof), are connected to home, whose pose counts.
+    """Return what tells which poses, (N, dof), are connected to home, whose pose counts.
 
-    Sampled poses that count, shape (M, dof), are joined where the test lets the way count too;
-    others belong to the part of the nearest one.
+    Samples that count, (M, dof), are joined where the way counts too; others belong to the nearest.
     """
     home = np.array([platform.home])
 
