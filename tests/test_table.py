@@ -479,6 +479,14 @@ def test_spreadsheets_give_what_their_csv_files_give(commas: bool, tmp_path: Pat
     assert np.array_equal(found.readings, expected.readings)
 
 
+def test_cells_that_are_no_numbers_are_quoted_as_they_stand(tmp_path: Path) -> None:
+    """One decimal comma beside decimal points: the cell as in the file, its thousands too."""
+    path = tmp_path / "t.csv"
+    path.write_text(f"{HEADER}\n{ROW}\n".replace(",", ";") + "0.5;1.469,3503;3;4;5;6\n")
+    with pytest.raises(MeasurementError, match=r"line 3: '1\.469,3503' in column"):
+        pincal.Plan.from_csv(path, THREE)
+
+
 def test_messages_on_spreadsheets_name_the_row_of_the_sheet(tmp_path: Path) -> None:
     """A cell that is no number below a title, which is skipped: as Excel counts rows."""
     sheet(tmp_path / "m.xlsx", [["Messung vom 3. Mai"], *CELLS, ["n/a", *CELLS[1][1:]]])

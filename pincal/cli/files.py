@@ -200,6 +200,11 @@ def _import_tree(
     if (size := mechanism.size) > _LARGE:
         remarks += [f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?"]
     save_mechanism(replace(mechanism, name=named_after(output)), output, force=options.force)
+    _say_what_it_is(mechanism)
+    return remarks
+
+
+def _say_what_it_is(mechanism: Mechanism) -> None:
     platform = mechanism.platform
     coordinates = zip(platform.coordinates, platform.home, platform.units, strict=True)
     home = (f"{name} {round(value, 9) + 0.0:.6g} {unit}" for name, value, unit in coordinates)
@@ -210,7 +215,6 @@ def _import_tree(
         joints = ", ".join(joint.name + marks.get(joint.name, "") for joint in leg.articulated)
         say(f"{leg.name}: {joints}; {leg.closing}; {len(leg.parameters)} parameters")
     stdout.print("* driven: its position is read")
-    return remarks
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -44,8 +45,8 @@ def read_corners(setup: Setup, table: TextTable, lines: Sequence[int]) -> tuple[
     }
     names = _cameras_and_points(corners, pairs)
     rows = [place.get(table.lines[row], -1) for row in _rows(corners, table)]
-    _check_repeats(corners, list(zip(rows, names, strict=True)))
     used = np.array([name in pairs and row >= 0 for name, row in zip(names, rows, strict=True)])
+    _check_repeats(corners, list(zip(rows, names, strict=True)))
     every = [column for pair in pairs.values() for column in pair]
     columns = np.array([[*map(every.index, pairs[names[i]])] for i in np.flatnonzero(used)])
 
@@ -131,13 +132,11 @@ def _rows(corners: TextTable, table: TextTable) -> list[int]:
             f"{corners.path}: nothing says to which rows corners belong; add a column 'row', or "
             f"'image' here and in {table.path}"
         )
-    names, rows_of = [name.strip() for name in corners.text[key]], dict[str, list[int]]()
-    for row, name in enumerate(table.text[key]):
-        rows_of.setdefault(name.strip(), []).append(row)
-    for i, name in enumerate(names):
-        if (count := len(rows_of.get(name, ()))) != 1:
+    counts = Counter(table.text[key])
+    for i, name in enumerate(corners.text[key]):
+        if (count := counts[name]) != 1:
             raise MeasurementError(
                 f"{corners.where(i)}: {key} {name!r} is in {count or 'no'} row{'s' * (count > 1)} "
                 f"of {table.path}; expected in one"
             )
-    return [rows_of[name][0] for name in names]
+    return [table.text[key].index(name) for name in corners.text[key]]

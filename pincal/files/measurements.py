@@ -106,12 +106,15 @@ def read_measurements(
     setup = setup if isinstance(setup, Setup) else Setup.from_yaml(setup)
     platform = mechanism.platform
     if isinstance(source, Measurements):
-        return _fitting(source, mechanism)
-    related, setup, named = _related(source, setup, pairs)
+        of, counts = f"of {mechanism.name!r}", (platform.dof, len(mechanism.reading_names))
+        array_of(source.poses, ("N", counts[0]), f"poses {of}", MeasurementError)
+        array_of(source.readings, ("N", counts[1]), f"readings {of}", MeasurementError)
+        return source
+    every_row, setup, named = _related(source, setup, pairs)
     further = setup.columns(mechanism)
     level = {"z": "m"} if platform.space == 2 and "z" not in further else {}
     known = known_columns(mechanism, further | level | dict.fromkeys(named, ""))
-    every_row = table_of(related, mechanism, known, influences)
+    every_row = table_of(every_row, mechanism, known, influences)
     columns = (*platform.coordinates, *_TURNS, *further, *mechanism.reading_names)
     table = every_row.where_measured(columns)
     pixels, sigma_pixels = read_corners(setup, every_row, table.lines)
@@ -123,8 +126,7 @@ def read_measurements(
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
     unknown = unknown_columns(table, known)
     extra, sigma_extra = _quantities(table, further, pixels, partial=partial)
-    extra |= pixels
-    if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
+    if not partial and not np.isfinite(np.column_stack((poses, *(extra | pixels).values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     data = Measurements(
         poses=poses,
@@ -132,7 +134,7 @@ def read_measurements(
         readings=table.array(reading_units(mechanism), blank=partial),
         sigma_poses=_sigmas(table, freedoms, partial=partial),
         sigma_readings=_sigmas(table, reading_units(mechanism)),
-        extra=extra,
+        extra=extra | pixels,
         sigma_extra=sigma_extra | sigma_pixels,
         covariances=covariances_of(table, freedoms | further),
         contacts=_contacts(table, named),
@@ -143,15 +145,6 @@ def read_measurements(
         written=way,
     )
     return data.rows(np.arange(len(data)))  # which are related to none that was skipped
-
-
-def _fitting(data: Measurements, mechanism: Mechanism) -> Measurements:
-    """Return measurements that have the columns of a mechanism."""
-    counts = {"poses": mechanism.platform.dof, "readings": len(mechanism.reading_names)}
-    for name, count in counts.items():
-        purpose = f"{name} of {mechanism.name!r}"
-        array_of(getattr(data, name), ("N", count), purpose, MeasurementError)
-    return data
 
 
 def _related(source: Any, setup: Setup, pairs: Any) -> tuple[TextTable, Setup, tuple[str, ...]]:
@@ -280,8 +273,7 @@ def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
     """Return a column of names, or None where there is none."""
     if column not in table:
         return None
-    names = tuple(cell.strip() for cell in table.text[column])
-    for row, name in enumerate(names):
+    for row, name in enumerate(table.text[column]):
         if not name.isprintable():
             raise MeasurementError(
                 f"{table.where(row)}: {column} {name!r} has characters that cannot be "
@@ -289,7 +281,7 @@ def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
             )
         if column == "run" and not name:
             raise MeasurementError(f"{table.where(row)}: no run; name it in every row")
-    return names
+    return tuple(table.text[column])
 
 
 def _contacts(table: TextTable, columns: Iterable[str]) -> dict[str, tuple[str, ...]]:
@@ -345,11 +337,8 @@ def _quantities(
 
     Pixels may be in a table of their own; all may be missing from what was measured in part.
     """
-    values = {
-        name: table.numbers(name, unit, blank=True)
-        for name, unit in units.items()
-        if name in table or not (partial or name in pixels)
-    }
+    read = [name for name in units if name in table or not (partial or name in pixels)]
+    values = {name: table.numbers(name, units[name], blank=True) for name in read}
     has_sigma = {name: unit for name, unit in units.items() if f"sigma_{name}" in table}
     sigmas = _sigmas(table, has_sigma, partial=partial)
     return values, {} if sigmas is None else dict(zip(has_sigma, sigmas.T, strict=True))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,13 +33,24 @@ def related_columns(table: TextTable) -> tuple[TextTable, dict[str, str]]:
     Rows that no column ``row`` names are called 1, 2, ….
 
     Raises:
-        MeasurementError: a row that is named twice or not at all.
+        MeasurementError: a row that is named twice or not at all, or a column that names no other
+            row.
     """
     columns = [name.removesuffix(TO) for name in table.units if _LEADS.fullmatch(name)]
     if not columns:
         return table, {}
     table = _named(table)
-    _check_names(table, columns)
+    places = {name: row for row, name in enumerate(table.text[ROW])}
+    for row, name in enumerate(table.text[ROW]):
+        if not name or places[name] != row:
+            raise MeasurementError(f"{table.where(row)}: row {name!r}; give each row its own name")
+        for column in columns:
+            met = table.text[f"{column}{TO}"][row]
+            if met and places.get(met, row) == row:
+                raise MeasurementError(
+                    f"{table.where(row)}: {column}{TO} is {met!r}; expected the name of another "
+                    "row, as in the column 'row', or its number if there is none"
+                )
     known = {name: unit for c in columns for name, unit in ((c, "m"), (f"{c}{TO}", ""))}
     return table, {**known, ROW: ""}
 
@@ -49,22 +60,6 @@ def _named(table: TextTable) -> TextTable:
     numbers = [str(1 + row) for row in range(len(table.lines))]
     units, text = {ROW: None, **table.units}, {ROW: numbers, **table.text}
     return replace(table, units=units, text=text)
-
-
-def _check_names(table: TextTable, columns: Sequence[str]) -> None:
-    """Raise if rows do not have a name each, or columns name no other row."""
-    names = [cell.strip() for cell in table.text[ROW]]
-    places = {name: row for row, name in enumerate(names)}
-    for row, name in enumerate(names):
-        if not name or places[name] != row:
-            raise MeasurementError(f"{table.where(row)}: row {name!r}; give each row its own name")
-    for column in columns:
-        for row, cell in enumerate(table.text[f"{column}{TO}"]):
-            if places.get(cell.strip(), row) == row and cell.strip():
-                raise MeasurementError(
-                    f"{table.where(row)}: {column}{TO} is {cell.strip()!r}; expected the name of "
-                    "another row, as in the column 'row', or its number if there is none"
-                )
 
 
 def with_pairs(measurements: Any, pairs: Any) -> TextTable:
@@ -80,10 +75,9 @@ def with_pairs(measurements: Any, pairs: Any) -> TextTable:
             was typed twice.
     """
     table, typed = _named(read_table(measurements)), read_table(pairs)
-    names = [cell.strip() for cell in table.text[ROW]]
-    place = {name: row for row, name in enumerate(names)}
-    cells: dict[str, list[str]] = defaultdict(lambda: [""] * len(names))
-    hosted = [0] * len(names)
+    place = {name: row for row, name in enumerate(table.text[ROW])}
+    hosted = [0] * len(table.lines)
+    cells: dict[str, list[str]] = defaultdict(lambda: [""] * len(hosted))
     for a, b, kind, value, sigma in _pairs(typed, place, table.path):
         host, partner = (b, a) if hosted[place[b]] <= hosted[place[a]] else (a, b)
         hosted[place[host]] += 1
@@ -135,8 +129,7 @@ def _pairs(
 
 def _ends(table: TextTable, names: Collection[str], measured: Path) -> Iterator[tuple[str, str]]:
     """Yield rows a and b of each line."""
-    for line, ends in enumerate(zip(*(table.text[end] for end in _ENDS), strict=True)):
-        a, b = map(str.strip, ends)
+    for line, (a, b) in enumerate(zip(*(table.text[end] for end in _ENDS), strict=True)):
         if a == b or not {a, b} <= {*names}:
             strange = b if a in names else a
             fault = "measured from itself" if a == b else f"no row of {measured}"

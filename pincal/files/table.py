@@ -221,8 +221,7 @@ def _of_rows(
         raise MeasurementError(f"{path}: a header but no rows")
     notes = [separated] if separated else []
     notes += [f"{titles} {counted}s above the headers skipped"] if titles else []
-    notes += ["thousands separators"] if _without_thousands(rows) else []
-    notes += ["decimal commas"] if separated is not None and _with_points(rows) else []
+    notes += _in_plain_digits(rows, commas=separated is not None)
     if notes:
         _log.info("%s: %s", path, ", ".join(notes))
     text = dict(zip(units, map(list, zip(*rows, strict=True)), strict=True))
@@ -236,14 +235,29 @@ def _titles(rows: Sequence[Sequence[str]]) -> int:
     return next(headed, next(several, 0))
 
 
-def _without_thousands(rows: list[list[str]]) -> bool:
-    """Write 1234.5 for 1,234.5, 1234,5 for 1.234,5 and so on; return whether it was so."""
-    cells = [cell.strip() for row in rows for cell in row]
+def _in_plain_digits(rows: list[list[str]], *, commas: bool) -> list[str]:
+    """Write 1234.5 for 1,234.5, 1.234,5 and 1234,5; return what numbers had, in words.
+
+    Commas are decimal ones if they may be and no cell has a decimal point. Cells that are no
+    numbers then stay as they stand in the file.
+    """
+    cells = {cell.strip() for row in rows for cell in row}
     signs = [sign for sign, sure in _THOUSANDS.items() if any(map(sure.fullmatch, cells))]
+    plain = {cell: _ungrouped(cell, signs) for cell in cells}
+    decimal = [cell for cell, digits in plain.items() if _DECIMAL_COMMA.fullmatch(digits)]
+    commas &= bool(decimal) and not any(map(_DECIMAL_POINT.fullmatch, plain.values()))
+    plain |= {cell: plain[cell].replace(",", ".") if commas else cell for cell in decimal}
+    for row in rows:
+        row[:] = [plain[cell.strip()] for cell in row]
+    return ["thousands separators"] * bool(signs) + ["decimal commas"] * commas
+
+
+def _ungrouped(cell: str, signs: Sequence[str]) -> str:
+    """Return a cell without the signs between thousands, if it is a number that has one of them."""
     for sign in signs:
-        grouped = re.compile(rf"[-+]?\d{{1,3}}({sign}\d{{3}})+([.,]\d+)?", re.ASCII)
-        _rewrite(rows, grouped, sign, "")
-    return bool(signs)
+        if re.fullmatch(rf"[-+]?\d{{1,3}}({sign}\d{{3}})+([.,]\d+)?", cell, re.ASCII):
+            return re.sub(sign, "", cell)
+    return cell
 
 
 def renamed(table: TextTable, headers: Mapping[str, str]) -> TextTable:
@@ -267,21 +281,6 @@ def renamed(table: TextTable, headers: Mapping[str, str]) -> TextTable:
         raise MeasurementError(f"{table.path}: two columns are called alike by {dict(headers)}")
     text = {names[column][0]: cells for column, cells in table.text.items()}
     return replace(table, units=units, text=text)
-
-
-def _with_points(rows: list[list[str]]) -> bool:
-    """Write decimal points for decimal commas if no cell has points; return whether it was so."""
-    cells = [cell.strip() for row in rows for cell in row]
-    if not any(map(_DECIMAL_COMMA.fullmatch, cells)) or any(map(_DECIMAL_POINT.fullmatch, cells)):
-        return False
-    _rewrite(rows, _DECIMAL_COMMA, ",", ".")
-    return True
-
-
-def _rewrite(rows: list[list[str]], numbers: re.Pattern[str], sign: str, new: str) -> None:
-    """Write another sign in the cells of rows that are numbers of a kind."""
-    for row in rows:
-        row[:] = [re.sub(sign, new, c) if numbers.fullmatch(c.strip()) else c for c in row]
 
 
 def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:

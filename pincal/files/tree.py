@@ -64,6 +64,11 @@ class Tree:
     """What digits that were cut off may have moved frames by, of a leg's size and [rad]."""
 
     @property
+    def fixed(self) -> list[Edge]:
+        """Edges, and loops, that do not move."""
+        return [edge for edge in (*self.edges, *self.loops) if not edge.moves]
+
+    @property
     def links(self) -> tuple[str, ...]:
         """Names of the links, root first."""
         children, parents = ([getattr(e, end) for e in self.edges] for end in ("child", "parent"))

@@ -37,6 +37,7 @@ from pincal.types import Array
 
 Table = dict[str, Any]
 _AXES = dict(zip("xyz", np.eye(3), strict=True))
+_NO_SHIFT = np.eye(4)
 _DIGITS = 9  # of twists on a grid, [m] and [rad]
 _LEFT = "left"  # begins a reason: closed, and in another mode
 _TEMPLATE = Path(__file__).with_name("controller_kinematics.py")
@@ -235,7 +236,7 @@ def _rows(matrix: Array) -> list[float]:
 
 
 def _chain(
-    leg: Leg, joints: Sequence[Joint], sources: dict[str, int], tip: Array | None = None
+    leg: Leg, joints: Sequence[Joint], sources: dict[str, int], tip: Array = _NO_SHIFT
 ) -> Table:
     """Return the joints of a chain that move, each with what is constant behind it.
 
@@ -245,9 +246,8 @@ def _chain(
     elements, rows, geared, placed = elementary_joints(leg, joints)
     for element, column, parameter, sign in geared:
         rows[element, column] += sign * leg.nominal[parameter]
-    named, moving = leaders(leg, joints), [joint.name for joint in leg.moving]
-    places: list[int | None] = [moving.index(name) for name in named]
-    places += [sources.get(name) for name in leg.parameter_names]
+    named, moving = leaders(leg, joints), {j.name: place for place, j in enumerate(leg.moving)}
+    places = [*map(moving.get, named), *map(sources.get, leg.parameter_names)]
     constants = rows[:, len(named) :] @ leg.nominal
     moves, behind = list[Any](), [np.eye(4)]
     for elementary, row, constant in zip(elements, rows, constants, strict=True):
@@ -262,8 +262,9 @@ def _chain(
             behind.append(np.eye(4))
         joint = Joint("", "revolute" if turns else "prismatic", axis=tuple(axis))
         behind[-1] = behind[-1] @ joint.motion(np.array([constant]))[0]
-    for matrix in (np.reshape(placed, (4, 4)) if placed else None, tip):
-        behind[-1] = behind[-1] if matrix is None else behind[-1] @ matrix
+    if placed:
+        behind[-1] = behind[-1] @ np.reshape(placed, (4, 4))
+    behind[-1] = behind[-1] @ tip
     start, *ends = map(_rows, behind)
     joined = [(*move, end) for move, end in zip(moves, ends, strict=True)]
     return {"start": start, "moves": Several("machine_move", joined)}
@@ -329,10 +330,10 @@ def _load(machine: Mechanism) -> Table:
         nothing = {name: Several(kind, ()) for name, kind in counted.items()}
         return {"gravity": [0.0] * 3, "width": 1, **nothing}
     drawing, load = machine.drawing, machine.load or Load()
-    (leg, *further), n = drawing.legs, len(drawing.legs[0].moving)
+    leg, n = drawing.legs[0], len(drawing.legs[0].moving)
     owners = [name.removeprefix(f"{LOAD}_") for name in machine.loaded]
     at_tool = [f"{leg.name}.{name}" for name in leg.point.placement.parameter_units]
-    if further or not leg.is_arm or set(owners).intersection(at_tool):
+    if len(drawing.legs) > 1 or not leg.is_arm or set(owners).intersection(at_tool):
         raise MechanismError(
             f"terms of {machine.name!r} follow loads of a tool, or of a machine with loops, which "
             "no file computes; write a table of corrections instead (pincal export … -o "
@@ -340,24 +341,23 @@ def _load(machine: Mechanism) -> Table:
         )
     named = dict(zip(leg.reading_names, leg.active, strict=True))
     named |= {name: n + place for place, name in enumerate(leg.parameter_ids)}
-    places = [machine.influences.index(name) for name in machine.loaded]
-    columns = zip(places, map(named.__getitem__, owners), strict=True)
-    sources = {name: n + place for place, name in enumerate(leg.parameter_names)}
-
-    def body(mass: float, link: Joint, T_link_body: Array, centre: Sequence[float]) -> Any:
+    places = map(machine.influences.index, machine.loaded)
+    columns = list(zip(places, map(named.__getitem__, owners), strict=True))
+    T_tip_platform = np.asarray(np.linalg.inv(leg.point.placement.origin()))
+    carried = [(load.mass, leg.joints[-1].name, T_tip_platform, load.centre)]
+    carried += [(j.mass, j.name, _NO_SHIFT, j.centre) for j in leg.joints]
+    sources, bodies = {name: n + place for place, name in enumerate(leg.parameter_names)}, []
+    for mass, link, T_link_body, centre in carried:
         shift = np.eye(4)
         shift[:3, 3] = centre
-        return float(mass), _chain(leg, _path(leg, link.name), sources, T_link_body @ shift)
-
-    T_tip_platform = np.asarray(np.linalg.inv(leg.point.placement.origin()))
-    bodies = [body(load.mass, leg.joints[-1], T_tip_platform, load.centre)]
-    bodies += [body(joint.mass, joint, np.eye(4), joint.centre) for joint in leg.joints]
+        chain = _chain(leg, _path(leg, link), sources, T_link_body @ shift)
+        bodies += [(float(mass), chain)] * bool(mass)
     law = sensor_law(LegClosure(leg, drawing.platform))
     return {
         "gravity": [float(value) for value in load.gravity],
         "width": n + len(leg.parameters),
         "active": Several("int", leg.active),
         "sensors": _sensors(drawing, leg, law),
-        "bodies": Several("machine_body", [body for body in bodies if body[0]]),
-        "columns": Several("machine_load_column", [*columns]),
+        "bodies": Several("machine_body", bodies),
+        "columns": Several("machine_load_column", columns),
     }

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
@@ -65,7 +66,7 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
         )
     goal = graph.platform(base, platform)
     if goal == base:
-        limbs = [Limb([graph.round(base)], [])]
+        limbs = [Limb([graph.round()], [])]
     else:
         limbs = [graph.limb(bonds, base, goal) for bonds in graph.pieces({base, goal})]
     graph.check_leaders()
@@ -87,11 +88,9 @@ class _Graph:
         #: For each link the link that represents its body: the first one of the tree.
         self.body = {link: link for link in tree.links}
         edges = (*tree.edges, *tree.loops)
-        for edge in edges:
-            if not edge.moves:
-                ends = (self.body[edge.parent], self.body[edge.child])
-                first, merged = sorted(ends, key=tree.links.index)
-                self.body = {k: first if name == merged else name for k, name in self.body.items()}
+        for edge in tree.fixed:
+            first, merged = sorted(self.ends(edge), key=tree.links.index)
+            self.body = {k: first if name == merged else name for k, name in self.body.items()}
         self.bonds = [edge for edge in edges if edge.moves]
         for bond in self.bonds:
             if self.body[bond.parent] == self.body[bond.child]:
@@ -142,7 +141,10 @@ class _Graph:
             )
 
     def platform(self, base: str, link: str | None) -> str:
-        """Return the platform's body: where ways meet, a four-bar's coupler, or else the base."""
+        """Return the platform's body: where ways meet, or a four-bar's coupler, or else the base.
+
+        The coupler is the body that no joint ties to the base.
+        """
         degrees = self.degrees()
         if link is not None:
             body = self.body[link]
@@ -162,49 +164,44 @@ class _Graph:
 
     def coupler(self, base: str) -> str:
         """Return the body of a four-bar that no joint ties to the base, or else the base."""
-        on_base = {
-            name for bond in self.bonds for name in self.ends(bond) if base in self.ends(bond)
-        }
+        on_base = [bond for bond in self.bonds if base in self.ends(bond)]
         slides = any(bond.joint.kind == "prismatic" for bond in self.bonds)
         if slides or len(self.bonds) != 4 or not on_base:
             return base
-        return next(iter(self.degrees().keys() - on_base))
+        tied = {body for bond in on_base for body in self.ends(bond)}
+        return next(body for body in self.degrees() if body not in tied)
 
-    def round(self, base: str) -> list[Step]:
+    def round(self) -> list[Step]:
         """Return the one loop that there is, from the base back to it."""
-        body, unused, way = base, list(self.bonds), list[Step]()
-        while not way or body != base:
-            edge = next((bond for bond in unused if body in self.ends(bond)), None)
-            if edge is None:
-                raise MechanismError(
-                    f"the base {self.tree.root!r} lies in no loop; is another link the base "
-                    "(--base)?"
-                )
-            unused.remove(edge)
-            parent, child = self.ends(edge)
-            way.append((edge, parent == body))
-            body = child if parent == body else parent
-        return way
+        root = self.tree.root
+        first = next((b for b in self.bonds if self.body[root] in self.ends(b)), None)
+        if first is None:
+            raise MechanismError(
+                f"the base {root!r} lies in no loop; is another link the base (--base)?"
+            )
+        forward = self.body[first.parent] == self.body[root]
+        others = [*self.tree.fixed, *(bond for bond in self.bonds if bond is not first)]
+        back = route(others, first.child if forward else first.parent, root)
+        return [(first, forward), *(step for step in back if step[0].moves)]
 
     def pieces(self, cut: set[str]) -> list[list[Edge]]:
         """Return the bonds of each piece into which the graph falls where it is cut.
 
         Joints that follow another one are in one piece with it.
         """
-        pieces: list[list[Edge]] = []
-        for bond in self.bonds:
-            joined, separate = [bond], list[list[Edge]]()
-            for piece in pieces:
-                touches = any(
-                    not cut.issuperset({*self.ends(bond)}.intersection(self.ends(edge)))
-                    or bond.joint.leader.joint == edge.joint.leader.joint
-                    for edge in piece
-                )
-                joined, separate = (
-                    (piece + joined, separate) if touches else (joined, [*separate, piece])
-                )
-            pieces = [*separate, joined]
-        return sorted(pieces, key=lambda piece: self.bonds.index(piece[0]))
+        touching = [
+            [
+                not cut.issuperset({*self.ends(first)}.intersection(self.ends(second)))
+                or first.joint.leader.joint == second.joint.leader.joint
+                for second in self.bonds
+            ]
+            for first in self.bonds
+        ]
+        count, piece_of = connected_components(np.array(touching), directed=False)
+        return [
+            [bond for bond, place in zip(self.bonds, piece_of, strict=True) if place == piece]
+            for piece in range(count)
+        ]
 
     def limb(self, bonds: Sequence[Edge], base: str, goal: str) -> Limb:
         """Return the limb of a piece's bonds; without ends if it is not between base and goal.
@@ -286,9 +283,7 @@ def _loop_end(
     plane = plane_of(tree, [*near[stem:], *far[stem:]])
     bond, _ = near[-1]
     way, place = _to_point(_joints_to(tree, near, bond.child, plane), driven, tree.slack, plane)
-    fixed = [edge for edge in (*tree.edges, *tree.loops) if not edge.moves]
-    passable = [*fixed, *(edge for edge, _ in far)]
-    onto = joints_along(tree, route(passable, tree.root, bond.child), plane)
+    onto = _joints_to(tree, far, bond.child, plane)
     hook = np.eye(4)
     if place is not None:
         hook[:3, 3] = place
@@ -317,8 +312,7 @@ def _joints_to(
 ) -> list[Joint]:
     """Return the joints along a path, from the root to a link, or to where the path ends."""
     edge, forward = path[-1]
-    passable = [edge for edge in (*tree.edges, *tree.loops) if not edge.moves]
-    passable += [edge for edge, _ in path]
+    passable = [*tree.fixed, *(edge for edge, _ in path)]
     end = link or (edge.child if forward else edge.parent)
     return joints_along(tree, route(passable, tree.root, end), normal)
 
@@ -330,37 +324,32 @@ def _to_point(
 
     The point is seen from the last frame, shape (3,); None if the way closes a frame.
     """
-    last = _passive_end(joints, driven, 3 if normal is None else 1)
-    if not last:
+    count = 3 if normal is None else 1
+    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
+    last = moving[-count:]
+    passive = all(joints[i].kind == "revolute" and joints[i].name not in driven for i in last)
+    if len(moving) <= count or not passive:
         return joints, None
-    frames = list(accumulate((j.placement.origin() for j in joints[last[0] :]), np.matmul))
-    turned = [frames[i - last[0]] for i in last]
-    origins = np.stack([frame[:3, 3] for frame in turned])
-    axes = np.stack([frame[:3, :3] @ joints[i].axis for frame, i in zip(turned, last, strict=True)])
+    frames = np.array([*accumulate((j.placement.origin() for j in joints[last[0] :]), np.matmul)])
+    turned = frames[np.subtract(last, last[0])]
+    origins = turned[:, :3, 3]
+    axes = np.einsum("kij,kj->ki", turned[:, :3, :3], [joints[i].axis for i in last])
     centre = _meeting_point(origins, axes, slack) if normal is None else origins[0]
     if centre is None:
         return joints, None
     place = (np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3] + 0.0
     first = joints[last[0]]
     stem = first.name.removesuffix("_x")
-    if [joints[i].name for i in last] == [f"{stem}_{axis}" for axis in "xyz"]:
+    if [joints[i].name for i in last] == [f"{stem}_x", f"{stem}_y", f"{stem}_z"]:
         first = replace(first, name=stem)
     return _up_to(joints[: last[0]], first, centre), place
-
-
-def _passive_end(joints: Sequence[Joint], driven: set[str], count: int) -> list[int]:
-    """Return the places of a way's last joints that move, if they turn passively; else none."""
-    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
-    last = moving[-count:] if len(moving) > count else []
-    passive = all(joints[i].kind == "revolute" and joints[i].name not in driven for i in last)
-    return last if passive else []
 
 
 def _point(tree: Tree, platform: str, last: Step, place: Array) -> Joint:
     """Return the platform's point at a place: by the file's own frame if it has one there."""
     edge, forward = last
-    fixed = [edge for edge in (*tree.edges, *tree.loops) if not edge.moves]
-    frames = joints_along(tree, route(fixed, platform, edge.child if forward else edge.parent))
+    last_link = edge.child if forward else edge.parent
+    frames = joints_along(tree, route(tree.fixed, platform, last_link))
     if len(frames) == 1 and np.abs(frames[0].placement.xyz - place).max() <= 1e-12:
         return frames[0]
     x, y, z = place.tolist()
