@@ -233,13 +233,7 @@ def _noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, 
     readings are equal to the last digit. Values that are equal say nothing about their noise:
     readings are exact then, and poses that repeat at their resolution leave it to the residuals.
     """
-    groups: dict[Hashable, list[int]] = defaultdict(list)
-    complete = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
-    for row in np.flatnonzero(complete).tolist():
-        name = data.readings[row].tobytes() if data.places is None else data.places[row]
-        if name:  # a row without a name is a place of its own
-            groups[None if data.runs is None else data.runs[row], name].append(row)
-    several = [np.array(rows) for rows in groups.values() if len(rows) > 1]
+    several = _repeated_rows(data)
     dof = sum(len(rows) - 1 for rows in several)
     if dof < _ENOUGH:
         return None
@@ -257,6 +251,17 @@ def _noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, 
     counts = ((~turns).sum(), turns.sum(), data.readings.shape[1] if reading else 0)
     p, o, r = (float(dof * n) if n else np.inf for n in counts)
     return noise, (p, o, r)
+
+
+def _repeated_rows(data: Measurements) -> list[Index]:
+    """Return rows that repeat each other, measured in full."""
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    complete = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
+    for row in np.flatnonzero(complete).tolist():
+        name = data.readings[row].tobytes() if data.places is None else data.places[row]
+        if name:  # a row without a name is a place of its own
+            groups[None if data.runs is None else data.runs[row], name].append(row)
+    return [np.array(rows) for rows in groups.values() if len(rows) > 1]
 
 
 def _variance(groups: list[Array]) -> float:

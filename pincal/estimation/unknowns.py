@@ -305,14 +305,7 @@ def unknowns(
         bound |= set(places)
         start[places] = nominal[places].mean()
         groups.append(places)
-    sigmas = np.full(len(nominal), np.inf)
-    for name, sigma in (priors or {}).items():
-        if not _SMALLEST_PRIOR <= sigma < np.inf:
-            raise MeasurementError(
-                f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
-                f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
-            )
-        sigmas[_places(pairs, name)] = sigma
+    sigmas = _prior_sigmas(pairs, priors or {}, len(nominal))
     sigmas[list(held)] = np.inf
     groups = sorted([*groups, *([i] for i in range(len(nominal)) if i not in bound)])
     T, ids = np.zeros((len(nominal), len(groups))), [*map(".".join, pairs), *external]
@@ -343,6 +336,19 @@ def _tied_places(
     if fixed_too := bound & set(places):
         raise MeasurementError(f"{pairs[fixed_too.pop()][1]!r} is both fixed and tied; choose one")
     return places
+
+
+def _prior_sigmas(pairs: list[tuple[str, str]], priors: Mapping[str, float], count: int) -> Array:
+    """Return standard deviations of nominal values, infinite where there is none, (count,)."""
+    sigmas = np.full(count, np.inf)
+    for name, sigma in priors.items():
+        if not _SMALLEST_PRIOR <= sigma < np.inf:
+            raise MeasurementError(
+                f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
+                f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
+            )
+        sigmas[_places(pairs, name)] = sigma
+    return sigmas
 
 
 def _places(pairs: list[tuple[str, str]], wanted_name: str) -> list[int]:

@@ -140,21 +140,21 @@ def _parameter_faults(leg: Leg) -> Iterator[str]:
 def _term_faults(leg: Leg) -> Iterator[str]:
     """Yield why a term of a leg's sensors or parameters cannot be one."""
     constants = {name for sensor in leg.sensors for name in (sensor.gain, sensor.offset)}
+    of_sensors = constants.difference(leg.placed)
     owners = [
         (f"sensor {sensor.joint!r}", term, term.unit or unit)
         for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True)
         for term in sensor.terms
     ]
     for name, term in leg.terms:
-        of_placement = name in leg.placed
         for wrong, fault in (
             (
-                name in constants and not of_placement,
+                name in of_sensors,
                 ": that is the sensor's, whose position terms are added to as it is; give the term "
                 "to the sensor (sensors: terms)",
             ),
             (
-                not of_placement,
+                name not in leg.placed,
                 ": no placement has such a parameter; expected one of "
                 f"{', '.join(leg.placed) or 'none'}",
             ),
@@ -191,6 +191,11 @@ def check_mechanism(mechanism: Mechanism) -> None:
         raise MechanismError(f"{title!r} is no name for a mechanism")
     for fault in _name_faults(mechanism):
         raise MechanismError(f"mechanism {title!r}: {fault}")
+    for leg in mechanism.legs if mechanism.cables else ():
+        if (leg.reading_units, leg.closes) != (("m",), "point"):
+            raise MechanismError(
+                f"tensions are of cables, and {leg.name} is none; expected a line that is read"
+            )
     for fault in _leg_faults(mechanism):
         raise MechanismError(fault)
 
@@ -232,11 +237,9 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
 
 
 def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield which legs are no cables, share a point that is not one, demand nothing, or tilt."""
+    """Yield which legs share a point that is not one, demand nothing, or leave the plane."""
     points: dict[str, tuple[Leg, Joint]] = {}
     for leg in mechanism.legs:
-        if mechanism.cables and (leg.reading_units, leg.closes) != (("m",), "point"):
-            yield f"tensions are of cables, and {leg.name} is none; expected a line that is read"
         for point in leg.points:
             sharing, first = points.setdefault(point.name, (leg, point))
             placement = point.placement
