@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 624,
-    "calibration": 6_806,
+    "calibration": 6_753,
     "cli": 2_965,
     "design": 2_304,
     "estimation": 4_897,

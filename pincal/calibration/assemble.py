@@ -284,10 +284,9 @@ def _identified(fits: Fits, std: Array, half: Array) -> tuple[IdentifiedParamete
         values += estimates.tolist()
     identified = []
     for p, value, error, off in zip(parameters, values, std.tolist(), half.tolist(), strict=True):
-        given = [] if np.isfinite(error) else [HELD]
-        if p.owner in calibration.mechanism.leg_names:
-            for kind, names in reversed(names_by_kind.items()):
-                given[:0] = [kind] * any(means(name, p.owner, p.name) for name in names)
+        names = names_by_kind if p.owner in calibration.mechanism.leg_names else {}
+        given = [kind for kind in names if any(means(n, p.owner, p.name) for n in names[kind])]
+        given += [] if np.isfinite(error) else [HELD]
         fields: dict[str, Any] = {**vars(p), "identified": value, "std": error}
         fields |= {"low": value - off, "high": value + off}
         beforehand = "fixed" if "fixed" in given else ", ".join(given)

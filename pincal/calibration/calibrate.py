@@ -111,7 +111,7 @@ def prepared(
         machine,
         asked.setup,
         partial=asked.latent,  # all legs at once need no complete poses
-        influences=columns_of_terms(asked.terms),
+        influences=columns_of_terms(asked.terms) if asked.terms else (),
     )
     completed = replace(asked, setup=asked.setup.of_rows(data.contacts))
     # a copy of the measurements: the user's may be changed
@@ -197,15 +197,17 @@ def started(calibration: Calibration) -> Calibration:
     check_copies(calibration.measurements, every_pose=options.every_pose)
     check_contacts(calibration.observation, calibration.measurements)
     check_distances(calibration)
-    check_photos(calibration)
+    if options.setup.pixels:
+        check_photos(calibration)
     calibration = _with_terms(calibration)
     if options.loss != "none" and options.setup.pixels:
         calibration = without_false_points(calibration)
     if options.setup.plain:
         faults = () if options.rough else implausible(calibration)
-        calibration = replace(calibration, start=with_zeros(calibration, faults))
-        if faults and calibration.start is None:
+        start = with_zeros(calibration, faults) if faults or options.rough else None
+        if faults and start is None:
             raise MisfitError(sentences(faults)[0])
+        calibration = replace(calibration, start=start)
     return with_found_tolerance(calibration)
 
 
@@ -214,11 +216,10 @@ def explained(calibration: Calibration) -> Explanation:
     """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
     tried = calibration.options.terms
     plain = replace(calibration, options=replace(calibration.options, terms=()))
-    named = parse_terms([term for term in tried if term != AUTO], plain.mechanism)
-    every = every_pair(plain.mechanism, plain.measurements) if AUTO in tried else []
-    pairs = list(dict.fromkeys((*named, *every)))
+    pairs = parse_terms(tried, plain.mechanism)
+    pairs += every_pair(plain.mechanism, plain.measurements) if AUTO in tried else []
     result, fits, _ = run(plain)
-    return Explanation(result, *choose(fits.calibration, pairs, fits))
+    return Explanation(result, *choose(fits.calibration, list(dict.fromkeys(pairs)), fits))
 
 
 def _with_terms(calibration: Calibration) -> Calibration:
@@ -227,7 +228,7 @@ def _with_terms(calibration: Calibration) -> Calibration:
     if not terms:
         return calibration
     plain = replace(calibration, options=replace(calibration.options, terms=()))
-    plain = extended(plain, parse_terms([term for term in terms if term != AUTO], mechanism))
+    plain = extended(plain, parse_terms(terms, mechanism))
     if AUTO not in terms:
         return plain
     models, chosen, *_ = choose(started(plain), every_pair(mechanism, plain.measurements))

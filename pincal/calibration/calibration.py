@@ -16,7 +16,7 @@ from pincal.estimation.noise import NoiseModel, noise_model
 from pincal.estimation.observation import Observation
 from pincal.estimation.problem import LegBlock, Problem
 from pincal.estimation.start import align_start, check_start
-from pincal.estimation.unknowns import External, State, Unknowns, unknowns
+from pincal.estimation.unknowns import State, Unknowns, unknowns
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name, influence_columns
 from pincal.model.measurements import Measurements, Noise
@@ -234,21 +234,6 @@ class Calibration:
         nominal = np.concatenate([self.mechanism.legs[i].nominal for i in legs])
         leg_block = self.leg_block(legs, rows, used[rows], self.noise.poses.roots[rows])
         return Problem(leg_block, self.observation.at(rows), State(nominal, matrices)), rows
-
-    def given_poses(self, external: External | None) -> Array:
-        """Return measured poses in the base frame, shape (N, dof), by frame and target if known."""
-        platform, data = self.mechanism.platform, self.measurements
-        if external is None:
-            return data.poses
-        F = external.frame[:3, :3]
-        measured = np.zeros((len(data), 3))
-        measured[:, : platform.space] = data.poses[:, : platform.space]
-        matrices = np.tile(np.eye(4), (len(data), 1, 1))
-        if "rad" in platform.units:
-            matrices[:, :3, :3] = F.T @ self.observation.orientations @ external.turn.T
-        arm = matrices[:, :3, :3] @ external.offsets[0]
-        matrices[:, :3, 3] = (measured - external.frame[:3, 3]) @ F - arm
-        return platform.from_matrices(matrices)
 
     def short_legs(self) -> Iterator[tuple[str, int, int, int]]:
         """Yield legs that have too few poses: name, poses, unknowns, and how many are needed."""

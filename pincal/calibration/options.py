@@ -283,16 +283,12 @@ def _parse_tolerance(text: str) -> dict[str, float]:
     for part in filter(None, (part.strip() for part in text.split(","))):
         unit = re.sub(r"^[-+\d.eE]*", "", part).strip()
         dimension = UNITS.get(unit or "1", ("", 0.0))[0]
-        if dimension not in ("m", "rad", "1") or dimension in by_unit:
+        bare = not unit and not by_unit
+        if bare or dimension not in ("m", "rad", "1") or dimension in by_unit:
             raise MeasurementError(
-                f"--tolerance {text}: {part!r} is not understood; expected one number for lengths, "
-                "one for angles, and one without a unit for gains, such as 0.5mm,5mrad,0.001, or "
-                "'auto'"
-            )
-        if not unit and not by_unit:
-            raise MeasurementError(
-                f"--tolerance {text}: {part!r} has no unit; say 0.5mm, 5mrad, and after them a "
-                "number for gains"
+                f"--tolerance {text}: {part!r} {'has no unit' if bare else 'is not understood'}; "
+                "expected one number for lengths, one for angles, and after them one without a "
+                "unit for gains, such as 0.5mm,5mrad,0.001, or 'auto'"
             )
         by_unit[dimension] = in_si(part, dimension) if unit else plain_number(part)
     return by_unit

@@ -65,7 +65,6 @@ class CalibrationResult:
     """
 
     calibration: Calibration
-    """What was calibrated, from what, and how."""
     legs: tuple[LegResult, ...]
     external: tuple[IdentifiedParameter, ...]
     """Where the base is in the frame of the measurements (``tracker.x`` …, a rotation vector),
@@ -76,14 +75,12 @@ class CalibrationResult:
     noise: Noise | None
     """Standard deviations given or estimated for all rows; None if rows have their own."""
     noise_source: str
-    """``"given"``, ``"rows"`` of the measurements, ``"repeats"`` of rows, or ``"estimated"`` from
-    the residuals."""
+    """``"given"``, ``"rows"``, ``"repeats"`` of rows, or ``"estimated"`` from the residuals."""
     degrees_of_freedom: int
     reduced_chi2: float
     """χ² over degrees of freedom, near 1 if the noise is as given or was estimated."""
     chi2_p_value: float
-    """Probability of such a χ², or a larger one, by the noise: χ², or F where repeated rows show
-    the noise."""
+    """Probability of such a χ², or a larger one; by F where repeated rows show the noise."""
     chi2_freedoms: float
     """Degrees of freedom of that test; fewer than of χ² where legs alone share the poses' noise."""
     noise_freedoms: float | None
@@ -98,10 +95,8 @@ class CalibrationResult:
     outliers: tuple[Outlier, ...]
     """Rows that do not fit the others, the worst first."""
     misses: tuple[float, float]
-    """By how much rows are missed by fits without them, to first order, [m] and [rad].
-
-    Root mean squares over targets, without rows that were rejected and the instrument's noise where
-    that is known; NaN where neither positions nor orientations were measured."""
+    """By how much rows are missed by fits without them, to first order, [m] and [rad]: root mean
+    squares over targets, without rejected rows and known noise; NaN of what was not measured."""
     gauge: tuple[Finding, ...]
     """What was fixed by choice, since no such measurement can observe it."""
     gauge_directions: Array | None
@@ -109,8 +104,7 @@ class CalibrationResult:
     frames_moved: Array | None
     """Motions of frames that these are (see ``estimation.observability.gauge.split_frames``)."""
     undetermined_directions: Array | None
-    """Directions of the legs' parameters that were held near nominal, as far as machines may
-    differ, shape (n, n_lost)."""
+    """Directions of the legs' parameters that were held near nominal, shape (n, n_lost)."""
     observed: tuple[ResidualGroup, ...]
     """How the measured quantities of the platform fit, where poses were unknowns."""
     outside: External | None
@@ -145,9 +139,7 @@ class CalibrationResult:
     def in_base(self, poses: Poses) -> Array:
         """Return poses of the platform in the base frame, coordinates of shape (N, dof).
 
-        Args:
-            poses: Poses of the measured point in the frame of the measurements, as they are
-                measured: coordinates of shape (N, dof), or transforms.
+        They are given as measured, of the measured point in its frame; or as transforms.
         """
         (frame, tool), platform = self.measured_frames, self.nominal.platform
         measured = platform.matrices(poses).copy()
@@ -188,11 +180,7 @@ class CalibrationResult:
         return Parameters([*(p for leg in self.legs for p in leg.parameters), *self.external])
 
     def __getitem__(self, key: str) -> IdentifiedParameter:
-        """Return a parameter by its id: ``result["leg_1.l"].std``.
-
-        Raises:
-            MechanismError: no parameter has this id; the message names those alike.
-        """
+        """Return a parameter by its id, ``result["leg_1.l"].std``, or raise a MechanismError."""
         parameter: IdentifiedParameter = self.parameters[key]
         return parameter
 
@@ -225,10 +213,9 @@ class CalibrationResult:
 
     @property
     def excess(self) -> float:
-        """How many times larger residuals are than the noise given makes them.
+        """How many times larger residuals, and so standard errors, are than by the noise given.
 
-        1 if that noise explains them, or was estimated from them. Standard errors are as many
-        times larger.
+        1 if that noise explains them, or was estimated from them.
         """
         return excess_of(self.reduced_chi2, self.chi2_p_value)
 
@@ -239,11 +226,10 @@ class CalibrationResult:
 
     @property
     def contradictions(self) -> tuple[Finding, ...]:
-        """What contradicts the model or its noise: χ², residuals, held-out rows.
+        """What contradicts the model or its noise, so that no limit is promised.
 
         Or leaves it unproved: fewer equations than unknowns, or terms that these measurements
-        chose, for which only held-out rows can vouch. While there are any, no limit is promised for
-        the platform's error, anywhere.
+        chose, for which only held-out rows can vouch.
         """
         held = self.undetermined_directions
         codes = set(CONTRADICTING)
@@ -280,9 +266,8 @@ class CalibrationResult:
         """Return the platform error to expect of the calibrated mechanism.
 
         Where frames were fixed by choice, less what a motion of these explains. Infinite where what
-        was held, being undetermined, moves the platform at a pose, and by more than where all that
-        is seen of it was measured. While something contradicts the model, no limit is promised, and
-        errors at the measured poses are those of fits at rows that they have not seen (``misses``).
+        was held moves the platform by more than where all that is seen of it was measured. While
+        something contradicts the model, no limit is promised, and errors are by ``misses``.
 
         Args:
             poses: Poses over which to take the mean, coordinates of shape (N, dof), or a plan;
@@ -304,18 +289,16 @@ class CalibrationResult:
         """Return the result with its errors at held-out rows, and what these contradict.
 
         Rows whose ``set`` is ``verify`` are those, if there are any. Else each fold is left out in
-        turn: neighbours in the space of readings, so that an error of the model cannot hide in rows
-        nearby; rows of each ``set`` alike, those of one ``pose`` together. Rows that a robust loss
+        turn; rows of each ``set`` alike, those of one ``pose`` together. Rows that a robust loss
         finds outlying are left out.
 
         Args:
             folds: How many times a share of the rows is held out.
-            by: ``"region"``, ``"turn"`` (rows dealt to the folds in turn), or ``"run"`` (each run
-                of the experiment is a fold).
+            by: ``"region"``: neighbours in the space of readings, so that no error of the model
+                hides in rows nearby; ``"turn"``: rows in turn; ``"run"``: runs of the experiment.
 
         Raises:
-            MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not
-                converge.
+            MeasurementError: too few rows or folds; a fold that does not converge.
             ObservabilityError: what is left does not determine the parameters.
         """
 
@@ -331,13 +314,11 @@ class CalibrationResult:
     def report(self, **origin: Any) -> Report:
         """Return the report as a page: ``html()``, ``save(path)``, or shown by a notebook.
 
-        Args:
-            **origin: ``command``, ``files`` and ``date``, which the page names; ``units`` of its
-                numbers, ``"in,deg"``; ``workspace``: poses, or their file, over which errors are.
+        Origin is ``command``, ``files`` and ``date``, which the page names; ``units`` of its
+        numbers, ``"in,deg"``; ``workspace``: poses, or their file, over which errors are.
 
         Raises:
-            FileError: a file that cannot be read.
-            MeasurementError: a unit that is not understood.
+            PincalError: a file that cannot be read, or a unit that is not understood.
         """
 
     @property
@@ -368,15 +349,12 @@ class CalibrationResult:
     def save(
         self, folder: str | Path, *, force: bool = False, report: Report | None = None
     ) -> Path:
-        """Write the result to a folder: ``load_result`` gives it back.
-
-        ``result.json``, ``residuals.csv``, the nominal and the calibrated mechanism and the
-        measurements.
+        """Write the result to a folder, whole or not at all: ``load_result`` gives it back.
 
         Args:
-            folder: Where to; whole or not at all.
+            folder: Where to.
             force: Whether to replace a result that is there.
-            report: Page to write beside them as ``report.html``, by ``result.report()``.
+            report: Page to write beside it as ``report.html``, by ``result.report()``.
 
         Raises:
             FileError: the folder exists and ``force`` is not set, or cannot be written.

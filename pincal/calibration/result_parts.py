@@ -33,8 +33,8 @@ class IdentifiedParameter(Parameter):
     high: float
     """Upper end of the 95 % confidence interval; infinite if it has none."""
     given: str = ""
-    """What was given of it beforehand: ``"fixed"``, ``"tied"``, ``"prior"``, or several; or that
-    it is ``"held nearest to nominal"``, since the measurements do not determine it."""
+    """What was given of it: ``"fixed"``, ``"tied"``, ``"prior"``, or several; or that it is
+    ``"held nearest to nominal"``, since the measurements do not determine it."""
 
     @property
     def change(self) -> float:
@@ -78,8 +78,7 @@ class ResidualGroup:
     residuals: Array
     """Residuals with identified parameters, predicted less measured, shape (n,)."""
     redundancy: Array
-    """Variance of each residual over that of its noise, 1 − h of its leverage h: what the fit does
-    not take up, shape (n,)."""
+    """Variance of each residual over that of its noise, 1 − h of its leverage h, shape (n,)."""
 
     @property
     def n_residuals(self) -> int:
@@ -111,11 +110,7 @@ class ResidualGroup:
 
 @dataclass(frozen=True, repr=False)
 class LegResult(ResidualGroup):
-    """Calibration of one leg: its parameters and residuals.
-
-    Residuals are closures at measured poses; at poses that were estimated, predicted less measured
-    readings.
-    """
+    """Calibration of one leg: parameters; closures at measured poses, or residuals of readings."""
 
     parameters: tuple[IdentifiedParameter, ...]
     rank: int
@@ -163,10 +158,9 @@ class Missed:
     largest: float
     """The largest; no bootstrap says how much larger another would be."""
     rms_ends: tuple[float, float]
-    """Ends of the root mean square's 95 % interval; infinite of a single pose."""
+    """Ends of the root mean square's 95 % interval, by a bootstrap of poses; infinite of one."""
     limit: float = np.inf
-    """Below which the root mean square is at 95 %, if noise and model are right: what noise of the
-    instrument and of readings makes, and what the fits do not know."""
+    """Below which the root mean square is at 95 %, if noise and model are right."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -187,11 +181,9 @@ class Validation:
     findings: tuple[Finding, ...]
     """That held-out rows miss by more than is expected, if they do."""
     sigma: Array
-    """Standard deviations by which each held-out row is missed, as one normal number that is as
-    unlikely; NaN of other rows, shape (N,)."""
+    """Standard deviations of a normal number as unlikely as each held-out row, (N,); else NaN."""
     targets: tuple[Missed, ...]
-    """How far each measured target is missed at held-out rows: mean, largest, and root mean square,
-    with its limit and an interval by a bootstrap of poses."""
+    """How far each measured target is missed at held-out rows."""
 
     @property
     def kind(self) -> str:

@@ -9,6 +9,7 @@ poses as measured, with a robust loss, each parameter known as well as machines 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache, partial
 from typing import Any
@@ -249,9 +250,7 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
     """Return poses, NaN where readings lead nowhere, of several calibrations, (N, 4, 4) each."""
     platform = case.mechanism.platform
     if case.alone or not calibrations:
-        starts = (calibration.observation.external.start for calibration in calibrations)
-        pairs = zip(calibrations, starts, strict=True)
-        return [platform.matrices(calibration.given_poses(start)) for calibration, start in pairs]
+        return [_in_base(each, each.observation.external.start, None) for each in calibrations]
     readings = np.concatenate([calibration.measurements.readings for calibration in calibrations])
     known = np.isfinite(readings).all(axis=1)
     distinct, index = np.unique(readings[known], axis=0, return_inverse=True)
@@ -261,34 +260,32 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
     converged = np.zeros(len(readings), dtype=bool)
     converged[known] = solution.converged[index.ravel()]
     reached[converged] = platform.matrices(solution.poses[index.ravel()][converged[known]])
-    parts = (parted(values, len(calibrations)) for values in (reached, known, converged))
-    return [
-        _aligned(calibration, T, good & (2 * good.sum() >= max(known_rows.sum(), 6)))
-        for calibration, T, known_rows, good in zip(calibrations, *parts, strict=True)
-    ]
+    parts, placed = (parted(v, len(calibrations)) for v in (reached, known, converged)), []
+    for calibration, T, known_rows, good in zip(calibrations, *parts, strict=True):
+        data, observation = calibration.measurements, calibration.observation
+        problem = Problem(calibration.leg_block([0], np.arange(len(data))), observation)
+        start = State(case.mechanism.legs[0].nominal, T, external=observation.external.start)
+        placed.append(np.full_like(T, np.nan))
+        with suppress(MeasurementError):
+            if good.any() and 2 * good.sum() >= max(known_rows.sum(), 6):
+                external, _ = aligned(problem, data, start, good)
+                turned = np.isfinite(data.poses).all()
+                T[~good] = np.nan
+                placed[-1] = _in_base(calibration, external, None if turned else T)
+    return placed
 
 
-def _aligned(calibration: Calibration, reached: Array, good: Mask) -> Array:
-    """Return measured poses in the base frame, by those reached where good, (N, 4, 4)."""
-    mechanism, data = calibration.mechanism, calibration.measurements
-    every, observation = np.arange(len(data)), calibration.observation
-    problem = Problem(calibration.leg_block([0], every), observation)
-    start = State(mechanism.legs[0].nominal, reached, external=observation.external.start)
-    unknown = np.full_like(reached, np.nan)
-    if not good.any():
-        return unknown
-    try:
-        external, _ = aligned(problem, data, start, good)
-    except MeasurementError:
-        return unknown
-    if np.isfinite(data.poses).all():
-        return mechanism.platform.matrices(calibration.given_poses(external))
-    position = np.zeros((len(data), 3))
-    position[:, : mechanism.platform.space] = data.poses[:, : mechanism.platform.space]
-    matrices = np.where(good[:, None, None], reached, unknown)
-    inside = (position - external.frame[:3, 3]) @ external.frame[:3, :3]
-    matrices[good, :3, 3] = (inside - reached[:, :3, :3] @ external.offsets[0])[good]
-    return matrices
+def _in_base(calibration: Calibration, external: External, reached: Array | None) -> Array:
+    """Return measured poses in the base frame, (N, 4, 4); turned as those reached, if given."""
+    platform, data = calibration.mechanism.platform, calibration.measurements
+    F, position = external.frame[:3, :3], np.zeros((len(data), 3))
+    position[:, : platform.space] = data.poses[:, : platform.space]
+    matrices = np.tile(np.eye(4), (len(data), 1, 1)) if reached is None else reached
+    if reached is None and "rad" in platform.units:
+        matrices[:, :3, :3] = F.T @ calibration.observation.orientations @ external.turn.T
+    arm = matrices[:, :3, :3] @ external.offsets[0]
+    matrices[:, :3, 3] = (position - external.frame[:3, 3]) @ F - arm
+    return platform.matrices(platform.from_matrices(matrices)) if reached is None else matrices
 
 
 def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> Judged:

@@ -43,8 +43,7 @@ def photo_faults(calibration: Calibration) -> tuple[Finding, ...]:
 
 def check_photos(calibration: Calibration) -> None:
     """Raise a MisfitError if photos do not fit the nominal machine, and something explains that."""
-    far = _FAR * calibration.mechanism.size
-    if calibration.options.setup.pixels and _missed(_sample(calibration))[0] > far:
+    if _missed(_sample(calibration))[0] > _FAR * calibration.mechanism.size:
         for fault in photo_faults(calibration):
             raise MisfitError(sentence(fault))
 

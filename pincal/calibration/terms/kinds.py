@@ -176,7 +176,7 @@ def _of_links(mechanism: Mechanism) -> list[str]:
 def parse_terms(terms: Sequence[str], mechanism: Mechanism) -> list[Pair]:
     """Return places and kinds that texts name; several that one names one by one, and together."""
     pairs = []
-    for place, kind in map(_parts, terms):
+    for place, kind in (_parts(text) for text in terms if text != AUTO):
         single_places = parts_of(place, mechanism)
         for single in single_places:
             check_place(single, kind, mechanism)
