@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 624,
-    "calibration": 6_753,
+    "calibration": 6_730,
     "cli": 2_965,
     "design": 2_304,
     "estimation": 4_897,
@@ -24,9 +24,9 @@ LINES = {
     "instruments": 1_579,
     "kinematics": 3_336,
     "model": 3_651,
-    "show": 4_586,
+    "show": 4_584,
     "symmetry": 1_402,
-    "words": 1_015,
+    "words": 1_016,
     "workspace": 1_580,
 }
 """Most lines of each room; a room that is not listed may have none."""

@@ -134,6 +134,7 @@ def order(*columns: int) -> Fault:
 LARGE, SMALL = "times too large)", "times too small)"
 IN_MM = f"in mm under a metre header (1000 {LARGE}"
 IN_M = f"in metres under a mm header (1000 {SMALL}"
+IN_INCHES = f"in inches under a mm header (25.4 {SMALL}"
 IN_DEGREES = f"in degrees under a radian header (57.3 {LARGE}"
 IN_RADIANS = f"in radians under a degree header (57.3 {SMALL}"
 X, Y, Z = "x has the opposite sign", "y has the opposite sign", "z has the opposite sign"
@@ -144,6 +145,7 @@ TURNED = [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
 FAULTS: dict[str, tuple[list[str], Fault, list[str]]] = {
     "positions-mm": (EVERY, scaled(1e3), [f"the positions are {IN_MM}"]),
     "positions-m": (EVERY, scaled(1e-3), [f"the positions are {IN_M}"]),
+    "positions-in": (EVERY, scaled(1 / 25.4), [f"the positions are {IN_INCHES}"]),
     "orientations-deg": (TURNING, scaled(1.0, 1 / DEGREE), [f"the orientations are {IN_DEGREES}"]),
     "orientations-rad": (TURNING, scaled(1.0, DEGREE), [f"the orientations are {IN_RADIANS}"]),
     "readings-deg": (["5R", "3RRR"], scaled(1, 1, 1 / DEGREE), [f"the readings are {IN_DEGREES}"]),
@@ -248,7 +250,7 @@ def named(message: str) -> list[str]:
 
 
 #: A fault of each sort, tried in every run with the first of its mechanisms.
-QUICK = {"readings-deg", "sign-of-leg-1", "legs-1-2", "mirror-x", "scalar-last"}
+QUICK = {"readings-deg", "positions-in", "sign-of-leg-1", "legs-1-2", "mirror-x", "scalar-last"}
 QUICK |= {"scale-of-one", "only-x", "inverse-rotation", "inverse-pose"}
 
 

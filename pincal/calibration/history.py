@@ -76,18 +76,13 @@ class History:
         legs = legs_at(last.identified, measured_plan(last))
         moved, units = seen_of(last.identified, legs.poses, legs.gain, seen_by(last))
         G = moved[:, [unit == units[0] for unit in units]].reshape(-1, moved.shape[2])
-
-        def mean_square(root: Array) -> float:
-            return float(((G @ root) ** 2).sum() / len(moved))
-
-        weights, covariances = centred / (centred @ centred), [r.covariance for r in self.results]
-        slope = weights @ self.values
+        G, weights = G / np.sqrt(len(moved)), centred / (centred @ centred)
+        slope, covariances = weights @ self.values, np.array([r.covariance for r in self.results])
         errors = self.values - self.values.mean(axis=0) - np.outer(centred, slope)
-        expected = np.trace(G @ np.mean(covariances, axis=0) @ G.T) / len(moved)
-        excess = max(1.0, mean_square(errors.T) / (len(days) - 2) / expected)
-        of_slope = sum(w**2 * C for w, C in zip(weights, covariances, strict=True))
-        variance = excess * np.trace(G @ of_slope @ G.T) / len(moved)
-        return float(np.sqrt(mean_square(slope[:, None]))), 2.0 * float(np.sqrt(variance))
+        expected = np.trace(G @ covariances.mean(axis=0) @ G.T)
+        excess = max(1.0, ((G @ errors.T) ** 2).sum() / (len(days) - 2) / expected)
+        variance = excess * np.trace(G @ np.tensordot(weights**2, covariances, 1) @ G.T)
+        return float(np.linalg.norm(G @ slope)), 2.0 * float(np.sqrt(variance))
 
     def due(self, accuracy: float) -> date | None:
         """Return before when no check is needed to stay within an accuracy, [m] or [rad].
@@ -125,9 +120,7 @@ def changes(before: CalibrationResult, after: CalibrationResult) -> list[Change]
         free = X - X[:, chosen] @ np.linalg.lstsq(X[:, chosen], X, rcond=None)[0]
         sizes = np.linalg.norm(free, axis=0)
         possible = sizes > 1e-6 * np.linalg.norm(X, axis=0)
-        gains = np.where(
-            possible, (residual @ free) ** 2 / np.where(possible, sizes, 1.0) ** 2, 0.0
-        )
+        gains = np.where(possible, residual @ free / np.where(possible, sizes, 1.0), 0.0) ** 2
         best = int(np.argmax(gains))
         near = np.flatnonzero(possible & (gains > gains[best] - _EQUIVALENT))
         alternatives.append(tuple(mechanism.parameters[i].id for i in near if i != best))
@@ -137,9 +130,9 @@ def changes(before: CalibrationResult, after: CalibrationResult) -> list[Change]
     if not chosen:
         return []
     stds = np.sqrt(np.diag(np.linalg.inv(X[:, chosen].T @ X[:, chosen])))
-    rows = zip(chosen, amounts.tolist(), stds.tolist(), alternatives, strict=True)
-    named = [Change(mechanism.parameters[i], *row) for i, *row in rows]
-    return sorted(named, key=lambda change: -abs(change.value / change.std))
+    parameters = [mechanism.parameters[i] for i in chosen]
+    rows = zip(parameters, amounts.tolist(), stds.tolist(), alternatives, strict=True)
+    return sorted(map(Change._make, rows), key=lambda change: -abs(change.value / change.std))
 
 
 def history_of(paths: Sequence[Path]) -> History:

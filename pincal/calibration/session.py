@@ -12,10 +12,8 @@ and what is next is ``pincal.design.order``'s.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +45,11 @@ from pincal.files.text import plain_number
 from pincal.finding import Finding
 from pincal.kinematics.configurations import inverse
 from pincal.model.checks import LARGEST
-from pincal.model.measurements import Measurements, Noise, Plan
+from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.option import option
-from pincal.types import Array, Index
+from pincal.types import Array
 from pincal.words.findings import finding
 from pincal.words.units import SI, Units
 
@@ -313,10 +311,7 @@ class Session:
         sigma = as_one(square, equations)
         if chdtrc(equations, square) >= FALSE_ALARM:
             return Checked(row, sigma)
-        tried = [
-            *faults_of_a_row(Case(calibration, np.array([row]))),
-            *_coordinates_exchanged(self),
-        ]
+        tried = list(faults_of_a_row(Case(calibration, np.array([row]))))
         squares = _squares(*self._predicted(calibration, tried)[:2])
         nearly = _NEARLY * square if np.isfinite(square) else 0.0
         fits = (chdtrc(equations, squares) >= FALSE_ALARM) | (squares <= nearly)
@@ -373,21 +368,6 @@ class Session:
             R = np.asarray(np.linalg.qr(rows, mode="r"))
             W = np.linalg.solve(R.T, linear.jacobian.mT)
             return linear.residuals, excess**2 * np.eye(W.shape[2]) + W.mT @ W, linear
-
-
-def _coordinates_exchanged(session: Session) -> Iterator[Hypothesis]:
-    """Yield that two coordinates of a position are swapped."""
-    platform = session.mechanism.platform
-    for i, j in combinations(range(platform.lengths), 2):
-        order = np.arange(platform.dof)
-        order[[i, j]] = j, i
-        right = partial(_reordered, order=order)
-        names = platform.coordinates[i], platform.coordinates[j]
-        yield Hypothesis("columns-exchanged", right, {"columns": names})
-
-
-def _reordered(data: Measurements, order: Index) -> Measurements:
-    return replace(data, poses=data.poses[:, order])
 
 
 def _squares(r: Array, S: Array) -> Array:

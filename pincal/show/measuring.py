@@ -162,7 +162,7 @@ def version(session: Session) -> str:
 
 def state(session: Session) -> dict[str, Any]:
     """Return all that a page shows of a session."""
-    row, gain = session.next_pose()
+    row, _ = session.next_pose()
     table = None if session.result is None else session.result.tables()[0]
     names = [session.sheet[name][row] for name in ("set", "pose") if name in session.sheet]
     readings = set(session.mechanism.reading_names)
@@ -171,12 +171,10 @@ def state(session: Session) -> dict[str, Any]:
         for head, value in set_points(session, row).items()
     ]
     return {
-        "name": session.mechanism.name,
         "count": len(session.journal.rows),
         "row": row + 1,
         "rows": len(session.plan),
         "named": ", ".join(filter(None, names)),
-        "gain": percent(gain),
         "set_points": [point for point in points if point[0] in readings],
         "pose": [point for point in points if point[0] not in readings],
         "columns": session.columns,

@@ -149,6 +149,7 @@ _NAMES = {
     "UNDER": {
         "mm": "in mm under a metre header (1000 times too large)",
         "m": "in metres under a mm header (1000 times too small)",
+        "in": "in inches under a mm header (25.4 times too small)",
         "deg": "in degrees under a radian header (57.3 times too large)",
         "rad": "in radians under a degree header (57.3 times too small)",
     },

@@ -33,7 +33,7 @@ from pincal.types import Array
 
 Right = Callable[[Measurements], Measurements]
 #: For each unit of a header: what the numbers may be in, and the factor that puts them right.
-UNITS = {"m": {"mm": 1e-3, "m": 1e3}, "rad": {"deg": np.pi / 180, "rad": 180 / np.pi}}
+UNITS = {"m": {"mm": 1e-3, "m": 1e3, "in": 25.4}, "rad": {"deg": np.pi / 180, "rad": 180 / np.pi}}
 REFLECTIONS = {
     "x": np.diag([-1.0, 1.0, 1.0]),
     "y": np.diag([1.0, -1.0, 1.0]),
@@ -54,13 +54,7 @@ def faults(case: Case) -> Iterator[Hypothesis]:
     yield Hypothesis("sign-of-readings", _readings_times(-1.0), by_leg=True)
     yield from _columns_of_a_leg(case.mechanism)
     yield from _units(case)
-    for axis, Q in REFLECTIONS.items():  # r → Q r, R → Q R Qᵀ; and Q r with R as it is
-        if platform.space == 3 or Q[2, 2] == 1.0:
-            for turned in (True, False) if turning else (True,):
-                values = {"axis": axis, "orientations_right": not turned}
-                right = partial(_reflected, Q=Q, U=Q if turned else np.eye(3))
-                reflected = _posed(platform, right)
-                yield Hypothesis("left-handed-frame", reflected, values)
+    yield from _reflections(platform, (True, False) if turning else (True,))
     if turning:
         yield from _angles(case)
         inverted = _posed(platform, lambda r, R: (r, R.transpose(0, 2, 1)))
@@ -89,9 +83,19 @@ def faults_of_a_row(case: Case) -> Iterator[Hypothesis]:
         for leg in range(len(mechanism.legs)) if hypothesis.by_leg and singly else ():
             yield of_legs(hypothesis, mechanism, [leg])
     yield from _columns_of_a_leg(mechanism)
+    yield from _reflections(mechanism.platform, (False,))
     if len(mechanism.leg_names) == len(mechanism.reading_names):
         for i, j in combinations(range(len(mechanism.legs)), 2):
             yield _legs_exchanged(mechanism, _swapped(len(mechanism.legs), i, j))
+
+
+def _reflections(platform: Platform, turned: Sequence[bool]) -> Iterator[Hypothesis]:
+    """Yield that axes are mirrored or exchanged: r → Q r, R → Q R Qᵀ; and Q r with R as it is."""
+    for axis, Q in REFLECTIONS.items():
+        for orientations in turned if platform.space == 3 or Q[2, 2] == 1.0 else ():
+            right = partial(_reflected, Q=Q, U=Q if orientations else np.eye(3))
+            values = {"axis": axis, "orientations_right": not orientations}
+            yield Hypothesis("left-handed-frame", _posed(platform, right), values)
 
 
 def _units(case: Case) -> Iterator[Hypothesis]:
