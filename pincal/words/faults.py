@@ -25,8 +25,9 @@ FAULTS: dict[str, Wording] = {
         "Check the sensor, its cable and the log",
     ),
     "whole-turns": _error(
-        "{leg}: {rows|length|counted('reading is', 'readings are')} off by whole turns, the first "
-        "in data row {row}: {reading|g(6)} rad in place of {nominal|g(6)} rad",
+        "{leg}: {rows|length|counted('reading')} {'is' if rows|length == 1 else 'are'} off by "
+        "whole turns, the first in data row {row}: {reading|g(6)} rad in place of "
+        "{nominal|g(6)} rad",
         "Remove the whole turns, or correct the nominal offset",
     ),
     "other-working-mode": _error(

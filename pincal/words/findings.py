@@ -184,8 +184,8 @@ FINDINGS: dict[str, Wording] = {
         severity="info",
     ),
     "redundant-parameters": Wording(
-        "{count|counted('parameter is', 'parameters are')} redundant, whatever is measured: "
-        "{groups|groups}",
+        "{count|counted('parameter')} {'is' if count == 1 else 'are'} redundant, whatever is "
+        "measured: {groups|groups}",
         severity="info",
     ),
 }
