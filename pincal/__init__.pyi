@@ -32,7 +32,6 @@ from .kinematics.configurations import inverse
 from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
 from .kinematics.singularity import margins, tensions
-from .model.instrument import Instrument, Tracker
 from .model.joint import End, Follows, Joint
 from .model.leg import Leg
 from .model.measurements import Measurements, Noise, Plan
@@ -40,7 +39,7 @@ from .model.mechanism import Mechanism
 from .model.parameter import Parameter
 from .model.placement import Placement
 from .model.platform import Platform
-from .model.relations import Contact, Distance
+from .model.relations import Contact, Distance, Instrument, Tracker
 from .model.sensor import Sensor
 from .model.setup import Setup, Systematic, Target
 from .model.terms import Cables, Harmonic, Load, Power, Share, Term

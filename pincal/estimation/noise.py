@@ -16,11 +16,10 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.model.checks import ROUNDING
-from pincal.model.instrument import POLAR, Tracker
 from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
-from pincal.model.relations import ORIGIN, ROW
+from pincal.model.relations import ORIGIN, POLAR, ROW, Tracker
 from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
 
@@ -357,14 +356,19 @@ def _of_tracker(tracker: Tracker, points: Array, names: Sequence[str]) -> Array:
             "not; a tracker measures all of them (or give 'sigma_x' and the like instead of the "
             "tracker)"
         )
-    ray = points - tracker.at
-    above = np.hypot(ray[:, 0], ray[:, 1]) <= ROUNDING**0.5 * np.linalg.norm(ray, axis=1)
+    x, y, z = ray = (points - tracker.at).T
+    level, length = np.hypot(x, y), np.linalg.norm(ray, axis=0)
+    above = level <= ROUNDING**0.5 * length
     if above.any():
         raise MeasurementError(
             f"data row {int(np.argmax(above)) + 1}: the point is on the vertical axis of the "
             "tracker, where an azimuth says nothing; say where the tracker is ('at' of the tracker)"
         )
-    root = tracker.by_polar(points) * [tracker.range, tracker.azimuth, tracker.elevation]
+    azimuth = np.arctan2(y, x)
+    along = tracker.range * ray / np.where(length > 0.0, length, 1.0)
+    turned = tracker.azimuth * np.array((-y, x, 0.0 * z))
+    raised = tracker.elevation * np.array((-z * np.cos(azimuth), -z * np.sin(azimuth), level))
+    root = np.stack((along.T, turned.T, raised.T), axis=2)
     return np.asarray(root @ root.transpose(0, 2, 1))[:, :n, :n]
 
 

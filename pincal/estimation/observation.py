@@ -18,11 +18,9 @@ from pincal.estimation.noise import RowNoise, row_noise
 from pincal.estimation.relations import Predicted, meetings, met
 from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, State
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
-from pincal.model.instrument import Instrument, evaluated
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
-from pincal.model.relations import ORIGIN
+from pincal.model.relations import ORIGIN, Instrument, evaluated
 from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
 
@@ -52,9 +50,11 @@ class Observation:
         scalars |= lengths_read
         units = {name: u for device in setup.instruments for name, u in device.columns.items()}
         conditions = [scalars.pop(name) for name in units]
-        self.orientations = _orientations(platform, data)
-        """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
-        oriented = _oriented(self.orientations)
+        oriented = np.isfinite(data.poses[:, lengths:]).all(axis=1) & (platform.turns > 0)
+        self.orientations = np.full((len(data), 3, 3), np.nan)
+        """Measured orientations, shape (N, 3, 3); NaN where not measured."""
+        turned = platform.matrices(np.nan_to_num(data.poses[oriented]))
+        self.orientations[oriented] = turned[:, :3, :3]
         if (part := np.isfinite(data.poses[:, lengths:]).any(axis=1) & ~oriented).any():
             raise MeasurementError(
                 f"{data.place(int(np.argmax(part)))}: an orientation is measured in part; expected "
@@ -294,15 +294,3 @@ class Observation:
 def _oriented(orientations: Array) -> Mask:
     """Return which orientations were measured, shape (N,)."""
     return np.asarray(np.isfinite(orientations).all(axis=(1, 2)))
-
-
-def _orientations(platform: Platform, data: Measurements) -> Array:
-    """Return measured orientations, shape (N, 3, 3); NaN where not measured in full."""
-    turns = np.full((len(data), 3, 3), np.nan)
-    rad = [i for i, unit in enumerate(platform.units) if unit == "rad"]
-    if rad:
-        complete = np.isfinite(data.poses[:, rad]).all(axis=1)
-        full = np.zeros((int(complete.sum()), platform.dof))
-        full[:, rad] = data.poses[complete][:, rad]
-        turns[complete] = platform.matrices(full)[:, :3, :3]
-    return turns

@@ -12,8 +12,7 @@ from pincal.instruments.board import read_board
 from pincal.instruments.camera import Camera, Markers
 from pincal.instruments.lens import Lens
 from pincal.model.checks import must_be
-from pincal.model.instrument import Tracker
-from pincal.model.relations import Contact, Distance
+from pincal.model.relations import Contact, Distance, Tracker
 from pincal.model.setup import Setup, Systematic, Target
 
 T = TypeVar("T", Lens, Markers)

@@ -17,13 +17,22 @@ from pincal.attached import attached
 from pincal.errors import MeasurementError
 from pincal.model.checks import check_sizes, listed, must_be, one_line, set_point
 from pincal.model.consistency import RESERVED
-from pincal.model.instrument import Instrument, Tracker, fault_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter
 from pincal.model.platform import Platform
-from pincal.model.relations import ORIGIN, ROW, TO, Contact, Distance, Relation
+from pincal.model.relations import (
+    ORIGIN,
+    ROW,
+    TO,
+    Contact,
+    Distance,
+    Instrument,
+    Relation,
+    Tracker,
+    fault_of,
+)
 from pincal.option import option
-from pincal.types import Array, Point
+from pincal.types import Point
 
 STEEL = 11.5e-6
 """Thermal expansion of steel, [1/K]."""
@@ -261,16 +270,6 @@ class Setup:
         known = {column: d.point for column, d in self.distances.items() if d.point}
         points = {c: (c, c, Contact({c: point})) for c, point in known.items()}
         return {**self.touched, **points}
-
-    def feature_places(self, space: int) -> tuple[Array, Array, Array]:
-        """Return coordinates of features, their standard deviations, 0 if known, and axes.
-
-        Shapes (n, 6), (n, 6) and (n, 3, 3): see ``Contact.place``.
-        """
-        parts = [c.place(name, space) for _, name, c in self.features.values()]
-        values, sigmas = np.reshape(parts, (-1, 2, 6)).transpose(1, 0, 2)
-        axes = [contact.axes for _, _, contact in self.features.values()]
-        return values, sigmas, np.reshape(axes, (-1, 3, 3))
 
     def relations(self, space: int) -> list[Relation]:
         """Return what targets meet, distances first; in space or, 2, in the plane."""
