@@ -223,6 +223,19 @@ def test_camera_and_board_anywhere(make, points, free) -> None:  # type: ignore[
     assert np.abs(missed).max() < 1e-6
 
 
+def test_a_mirrored_flat_board_is_named() -> None:
+    """By its side that is seen, as its fit is the same; a print that is right is not."""
+    _, data = _measured(_camera(), count=16)
+    noise, codes = pincal.Noise(pixel=0.1), []
+    for points in (BOARD, {name: (-x, y, z) for name, (x, y, z) in BOARD.items()}):
+        board = pincal.Markers(points, normal=(0.0, 0.0, 1.0))
+        setup = pincal.Setup(instruments=(replace(_unknown(_camera()), markers=board),))
+        result = pincal.calibrate("6UPS", data, noise=noise, setup=setup)
+        codes.append("board-behind" in {remark.code for remark in result.findings})
+        assert result.converged
+    assert codes == [False, True]
+
+
 DEEP = {name: (x, y, 40.0 * x * y * (x + 0.01)) for name, (x, y, _) in BOARD.items()}
 FAULTS = ["photos-shifted", "photos-turned", "board-mirrored", "boards-exchanged", "camera-moved"]
 

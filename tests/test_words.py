@@ -202,6 +202,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "photos-shifted": ({"shift": 1, "given": 0.06, "missed": 6e-5}, (), (), "the photos are 1 row above their readings: corrected for that, the machine as drawn misses points by 0.06 mm (median), as they are by 60 mm"),
     "photos-turned": ({"turn": 90, "given": 0.06, "missed": 6e-5}, (), (), "the photos are turned by 90°: corrected for that"),
     "board-mirrored": ({"board": "b", "given": 0.06, "missed": 6e-5}, (), (), "board 'b' is a mirror image of what it should be: corrected"),
+    "board-behind": ({"board": "b"}, (), (), "board 'b' is seen from behind: it, or its points in the setup, are mirrored"),
     "boards-exchanged": ({"boards": ("a", "b"), "given": 0.06, "missed": 6e-5}, (), (), "boards 'a' and 'b' are confused: corrected"),
     "camera-moved": ({"given": 0.06, "missed": 6e-5}, (17,), (), "a camera was moved before data row 18: corrected"),
     "board-scale": ({"board": "b", "scale": 1.016, "given": 0.06, "missed": 6e-5}, (), (), "by the machine as drawn board 'b' is 1.6 % larger than said (an inch for 25 mm?): corrected"),

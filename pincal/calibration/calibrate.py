@@ -29,7 +29,7 @@ from pincal.calibration.findings import (
 )
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance, without_false_points
 from pincal.calibration.hypotheses.faults import with_zeros
-from pincal.calibration.hypotheses.photos import check_photos, pitch_faults
+from pincal.calibration.hypotheses.photos import boards_behind, check_photos, pitch_faults
 from pincal.calibration.hypotheses.plausibility import (
     check_contacts,
     check_copies,
@@ -255,7 +255,8 @@ def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding,
     if not result.explained:
         return explain_misfit(result.calibration, frame)
     if result.options.setup.pixels:
-        return pitch_faults(result.calibration)
+        mirrored = boards_behind(result.calibration, result.poses, frame)
+        return (*pitch_faults(result.calibration), *mirrored)
     if not result.converged or not result.options.setup.plain or result.options.tied:
         return ()
     identified = np.concatenate([leg.identified for leg in result.legs])

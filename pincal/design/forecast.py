@@ -19,7 +19,6 @@ from pincal.attached import attached
 from pincal.blas import one_thread
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
-from pincal.estimation.noise import RowNoise
 from pincal.estimation.observability.gauge import split_frames
 from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
 from pincal.estimation.observability.indices import (
@@ -104,33 +103,32 @@ def information_rows(
     observation = Observation(mechanism, data, setup)
     start = at_touch(observation, matrices, observation.external.start)
     observation = observation.visible(matrices, start)
-    chosen = np.array([observation.names.index(name) for name in names], dtype=int)
-    value, by_pose, by_external = observation.residuals(matrices, start)
+    chosen = [observation.names.index(name) for name in names]
+    value, *slopes = observation.residuals(matrices, start)
     predicted = {name: value[:, observation.names.index(name)] for name in columns}
     planned = replace(data, extra=predicted)  # less what was measured: zero
-    observation = observation.with_noise(observation.row_noise(planned, noise))
-    scatter, sigma = observation.noise, observation.sigma
-    points = chosen[observation.single[chosen] & (sigma[:, chosen] > 0.0).all(axis=0)]
-    others = np.setdiff1d(chosen, points)
-    roots = RowNoise(sigma[:, others]).roots if len(points) else scatter.roots[:, others]
-    # points of a photograph say no more than R: σ⁻¹ (B, by external) = Q R
-    seen = np.concatenate((by_pose, by_external), axis=2)[:, points] / sigma[:, points, None]
-    R, dof = np.asarray(np.linalg.qr(seen, mode="r")), by_pose.shape[2]
-    unit = np.broadcast_to(np.eye(R.shape[1]), (count, R.shape[1], R.shape[1]))
+    scatter = observation.row_noise(planned, noise)
+    seen = np.concatenate((*slopes, observation.systematic(matrices, start)), axis=2)[:, chosen]
+    single = scatter.correlation is None and (scatter.sigma[:, chosen] > 0.0).all()
+    if single and len(chosen) > seen.shape[2]:  # a photograph says no more than R: seen / σ = Q R
+        seen = np.asarray(np.linalg.qr(seen / scatter.sigma[:, chosen, None], mode="r"))
+        roots = np.broadcast_to(np.eye(seen.shape[2]), (count, *seen.shape[2:] * 2))
+    else:
+        roots = scatter.roots[:, chosen]
+    places = np.cumsum([part.shape[2] for part in slopes])
+    by_pose, by_external, systematic = np.split(seen, places, axis=2)
     # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
     # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
-    pose = np.concatenate((legs.pose, by_pose[:, others], R[:, :, :dof]), axis=1)
+    pose = np.concatenate((legs.pose, by_pose), axis=1)
     n_rows = legs.parameter.shape[1]
-    white = white_rows(pose, block_diagonal((noise.reading * legs.reading, roots, unit)))
-    by_external = np.concatenate((by_external[:, others], R[:, :, dof:]), axis=1)
+    white = white_rows(pose, block_diagonal((noise.reading * legs.reading, roots)))
     rows = white(block_diagonal((legs.parameter, by_external)))
     if not rows.size:
         raise MeasurementError(
             f"{', '.join(names) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
-    systematic = observation.systematic(matrices, start)[:, others]
-    errors = white(np.pad(systematic, ((0, 0), (n_rows, R.shape[1]), (0, 0))))
+    errors = white(np.pad(systematic, ((0, 0), (n_rows, 0), (0, 0))))
     return rows, errors, (*(p.id for p in mechanism.parameters), *observation.external.names), names
 
 

@@ -274,16 +274,23 @@ class Camera:
                 f"what camera {self.name!r} would see depends on where it is; say that roughly: "
                 "'at', and 'towards' or 'rotation'"
             )
-        place, lens, on_holder, *_ = self._parts(values)
+        place, lens, *_ = self._parts(values)
+        ray = self._carried(poses, values)[2] - place[:3]
+        visible = self.lens.sees(ray @ _matrix(place)[:3, :3], lens)
+        return np.repeat(visible & (self.facing(poses, values) > _STEEPEST), 2, axis=1)
+
+    def facing(self, poses: Array, values: Array) -> Array:
+        """Return cosines of lines of sight to the markers' normal, (N, M); below 0 from behind.
+
+        1 where markers can be read from any side.
+        """
+        place, _, on_holder, *_ = self._parts(values)
         T, _, moved = self._carried(poses, values)
-        R, ray = _matrix(place)[:3, :3], moved - place[:3]
-        visible = self.lens.sees(ray @ R, lens)
-        if self.markers.normal is not None:
-            normal = _matrix(on_holder)[:3, :3] @ self.markers.normal
-            normals = T[:, :3, :3] @ (normal / np.linalg.norm(normal))
-            cosines = -(ray * normals[:, None]).sum(axis=2) / np.linalg.norm(ray, axis=2)
-            visible &= cosines > _STEEPEST
-        return np.repeat(visible, 2, axis=1)
+        if self.markers.normal is None:
+            return np.ones(moved.shape[:2])
+        ray, normals = moved - place[:3], T[:, :3, :3] @ _matrix(on_holder)[:3, :3]
+        normals = normals @ (np.array(self.markers.normal) / np.linalg.norm(self.markers.normal))
+        return np.asarray(-(ray * normals[:, None]).sum(axis=2) / np.linalg.norm(ray, axis=2))
 
     def by_hand_eye(self, poses: Array, measured: Array) -> tuple[Array, Array] | None:
         """Return pixels by which hand–eye calibration misses photos that it has not seen, and m.

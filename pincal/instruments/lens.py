@@ -204,33 +204,26 @@ class Lens:
     def rays(self, pixels: Array) -> Array:
         """Return unit vectors that point from the camera to what is seen, (…, 2) to (…, 3).
 
-        By Newton's method on the nominal lens; NaN where no direction has such a pixel.
+        By Newton's method on the nominal lens; NaN where no direction has such a pixel. Images
+        follow directions across the ray alone: J ray = 0, so that a step is Jᵀ (J Jᵀ)⁻¹ missed.
         """
         f, centre, k = np.split(self.values, [2, 4])
         distorted = (np.asarray(pixels, dtype=float) - centre) / f
-        around = np.linalg.norm(distorted, axis=-1)
-        if self.fisheye:
-            around = np.minimum(around, np.pi)
-            safe = np.where(around > 0.0, around, 1.0)
-            flat = distorted / safe[..., None]
-            angle = around
-            for _ in range(_NEWTON):
-                t, powers = angle * angle, np.arange(1, len(k) + 1)
-                series = (k * t[..., None] ** powers).sum(axis=-1)
-                slope = (k * (2 * powers + 1) * t[..., None] ** powers).sum(axis=-1)
-                angle = angle - (angle * (1 + series) - around) / (1 + slope)
-            across, along = flat * np.sin(angle)[..., None], np.cos(angle)[..., None]
-            return np.concatenate((across, along), axis=-1)
-        ray = np.concatenate((distorted, np.ones((*around.shape, 1))), axis=-1)
+        around = np.linalg.norm(distorted, axis=-1, keepdims=True)
+        angle = np.minimum(around, np.pi) if self.fisheye else np.arctan(around)
+        across = distorted / np.where(around > 0.0, around, 1.0)
+        ray = np.concatenate((across * np.sin(angle), np.cos(angle)), axis=-1)
+        formed = self._by_angle if self.fisheye else self._on_plane
         for _ in range(_NEWTON):
-            plane, by_point, _ = self._on_plane(ray, k)
+            plane, J, _ = formed(ray, k)
             missed = plane - distorted
-            step = np.linalg.solve(by_point[..., :2], missed[..., None])[..., 0]
-            ray[..., :2] -= np.clip(np.nan_to_num(step), -1.0, 1.0)
+            step = (J.mT @ np.linalg.solve(J @ J.mT, missed[..., None]))[..., 0]
+            ray = ray - np.clip(np.nan_to_num(step), -1.0, 1.0)
+            ray = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
             if not np.nanmax(np.abs(step), initial=0.0) > _NEAR:
                 break
         ray[~(np.abs(missed).max(axis=-1) < 1e-6)] = np.nan
-        return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+        return ray
 
     def sees(self, points: Array, values: Array | None = None) -> Mask:
         """Return which points are in the image and sharp, shape (…, 3) to (…)."""

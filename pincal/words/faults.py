@@ -78,6 +78,11 @@ FAULTS: dict[str, Wording] = {
         f"board '{{board}}' is a mirror image of what it should be{_BY_PHOTOS}",
         "Print it again, or mirror x of its points; do not mirror photos",
     ),
+    "board-behind": Wording(
+        "board '{board}' is seen from behind: it, or its points in the setup, are mirrored, which "
+        "does not change the fit of a flat board",
+        "Print it again, or mirror x of its points; do not mirror photos",
+    ),
     "boards-exchanged": _error(
         f"boards '{{boards[0]}}' and '{{boards[1]}}' are confused{_BY_PHOTOS}",
         "Exchange them in the setup",

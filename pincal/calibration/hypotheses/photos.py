@@ -16,6 +16,7 @@ import numpy as np
 
 from pincal.calibration.calibration import Calibration
 from pincal.errors import MisfitError, PincalError
+from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.instruments.camera import Camera, Markers
 from pincal.kinematics.forward import forward
@@ -52,6 +53,24 @@ def pitch_faults(calibration: Calibration) -> tuple[Finding, ...]:
     """Return that a board has another pitch than said, which else changes all lengths alike."""
     sample = _sample(calibration)
     return _explaining(_missed(sample)[0], [*_scaled(sample)])
+
+
+def boards_behind(
+    calibration: Calibration, poses: Array, external: External
+) -> tuple[Finding, ...]:
+    """Return which flat boards a fit sees from behind: nothing else shows that they are mirrored.
+
+    Poses are coordinates in the base frame, shape (N, dof).
+    """
+    matrices = external.frame @ calibration.mechanism.platform.matrices(poses)
+    ids, extra = calibration.options.setup.device_parameters, calibration.measurements.extra
+    values, behind = dict(zip(ids, external.instruments.tolist(), strict=True)), dict[str, None]()
+    for camera in _cameras(calibration):
+        seen = np.isfinite(np.column_stack([extra[right] for right, _ in camera.marks.values()]))
+        of_camera = np.array([values[parameter.id] for parameter in camera.parameters])
+        if np.nanmedian(camera.facing(matrices, of_camera)[seen]) < 0.0:
+            behind[camera.markers.name] = None
+    return tuple(finding("board-behind", board=name) for name in behind)
 
 
 def _explaining(nominal_miss: float, judged: list[Judged]) -> tuple[Finding, ...]:
