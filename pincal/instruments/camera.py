@@ -337,7 +337,7 @@ class Camera:
             known: Values by id that other cameras share with it.
         """
         values = np.array([known.get(p.id, p.nominal) for p in self.parameters])
-        if self.known or self.at is not None:
+        if self.known:
             return values
         board, ids = self.markers, [parameter.id for parameter in self.parameters]
         T, X, _ = self._carried(poses, values)
