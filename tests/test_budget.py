@@ -18,7 +18,7 @@ LINES = {
     "calibration": 6_730,
     "cli": 2_965,
     "design": 2_304,
-    "estimation": 4_892,
+    "estimation": 4_894,
     "files": 3_433,
     "formats": 3_668,
     "instruments": 1_578,

@@ -188,6 +188,8 @@ def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
     lacks something. Cameras show what pixels move. None if poses are as measured, or nothing was.
     """
     problem, linear, n_legs = fit.problem, fit.last, fit.problem.leg_block.n_rows
+    if not problem.latent:
+        return None
     units, active = np.array(problem.observation.units), problem.active[:, n_legs:]
     shown = {unit: (units == unit) & active[fit.good].any(axis=0) for unit in ("m", "rad", "px")}
     unit = next((unit for unit, columns in shown.items() if columns.any()), None)
