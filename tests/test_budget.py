@@ -24,15 +24,15 @@ LINES = {
     "instruments": 1_578,
     "kinematics": 3_336,
     "model": 3_626,
-    "show": 4_584,
+    "show": 4_536,
     "symmetry": 1_402,
-    "words": 1_017,
+    "words": 1_002,
     "workspace": 1_580,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
     "files": 183,
-    "page lines": 932,
+    "page lines": 916,
     "largest folder": 16,
     "vague names": 0.01,
     "class names twice": 0,

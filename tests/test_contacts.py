@@ -405,7 +405,6 @@ def test_sockets_from_plan_to_report(tmp_path: Path) -> None:
     assert {row[head.index("socket")] for row in chosen} == {*SOCKETS}
     report = done("calibrate", tmp_path / "arm", measured, "--setup", file, *noise, "-o", result)
     assert "best-fit frames and scale" in " ".join(report.out.split())
-    assert "touched: 3 points in 42 rows" in report.out
     loaded_result = pincal.load_result(result)
     assert loaded_result.options.setup.contacts["socket"].points == dict.fromkeys(SOCKETS)
     assert {part.name for part in loaded_result.observed} == {

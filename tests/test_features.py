@@ -302,8 +302,7 @@ def test_plates_from_plan_to_report(tmp_path: Path) -> None:
         for place, name in enumerate(header[-4:], len(header) - 4):
             line[place] = repr(1e3 * float(cells[name.replace("[mm]", "[m]")]))
     sheet.write_text("\n".join(map(",".join, [header, *blank])))
-    out = done("calibrate", "linear_delta", sheet, *known, "-o", tmp_path / "result").out
-    assert "touched: 4 planes in 5" in out
+    done("calibrate", "linear_delta", sheet, *known, "-o", tmp_path / "result")
     result = pincal.load_result(tmp_path / "result")
     assert result.options.setup == pincal.Setup.from_yaml(tmp_path / "setup.yaml")
     assert not result.contradictions

@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 
 import pincal
 from pincal.cli.view import Kind
-from pincal.show.answers import method_line
 from pincal.show.tables import parameters_table
 
 NOISE = pincal.Noise(1e-4, 1e-4)
@@ -125,8 +124,6 @@ def test_every_kind_of_result_plots(case: str, tmp_path: Path) -> None:
     else:
         values = result.plot.error_map().images[0].get_array().compressed()
         assert ((values > 0.0) & np.isfinite(values)).any()
-    together = len(mechanism.legs) > 1 and "method" not in options
-    assert ("all legs" in method_line(result)) == together
     result.save(tmp_path / "result")
     lines = (tmp_path / "result/residuals.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "leg,row,quantity,unit,residual,sigma"

@@ -20,7 +20,7 @@ from pincal.formats.delta_printer import delta_printer
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.show.misses import WorkspaceErrors
-from pincal.show.tables import ERRORS, accuracy_table, held_out_errors
+from pincal.show.tables import accuracy_table, held_out_errors
 from pincal.words.findings import WORDINGS, sentence
 from pincal.words.numbers import amount, capital, chance, listed, number, rounded
 from pincal.words.table import Table
@@ -36,16 +36,7 @@ _MOST_PAIRS = 3  # weak pairs that are named
 _NOTED = {"tolerance-found", "points-left-out"}  # among what supports the answers
 _WRONG_ROWS = {"wrong-rows", "wrong-verification", "outliers"}
 _MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
-_UNDETERMINED = "Parameters that had to be held move the platform at every pose"
-_FOLLOWED = "Rows, noise or model are wrong, and distort the parameters"
-_NO_BETTER = "The identified parameters fit no better than the nominal ones"
 _HELD, _UNKNOWN = "Only frames were identified", "Not determined"
-_LITTLE = (
-    "The correction is little larger than its uncertainty: measure more poses, or more precisely"
-)
-_NO_RESULT = "The fit did not converge: there is no calibrated mechanism."
-_BEGUN = "nominal errors are with the zeros of motors as found"
-_FITTED = "best-fit frames: frames that are not known, placed where the machine is off least"
 
 
 class Answer(NamedTuple):
@@ -71,10 +62,12 @@ def answers(
     verdict = _NEXT.get(steps[0].split()[1], "Use it")
     following = Answer("What next?", verdict, "", [*map(command_block, steps)])
     if errors is None:
-        return [Answer("Is it better?", "There is no result", "bad", [_NO_RESULT]), following]
+        reason = "The fit did not converge: there is no calibrated mechanism."
+        return [Answer("Is it better?", "There is no result", "bad", [reason]), following]
     better, tone, reason = _improvement(result, errors)
     lines = _limit_lines(result, errors)
-    lines += [_FITTED] * (result.moves_frames and errors.determined)
+    if result.moves_frames and errors.determined:
+        lines += ["best-fit frames: unknown frames, placed where the machine is off least"]
     lines, table = [f"{capital(line)}." for line in lines], accuracy_table(result, errors)
     return [
         Answer("Is it better?", better, tone, [f"{reason}."]),
@@ -99,11 +92,14 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
     if not result.explained:
         excess = f"{result.excess:.3g} times as large as the noise given"
         if not result.corrects:
-            return "No", "bad", f"Residuals are {excess}. {_NO_BETTER}"
-        return "Not shown", "bad", f"Residuals fell, but are still {excess}. {_FOLLOWED}"
+            no_better = "The identified parameters fit no better than the nominal ones"
+            return "No", "bad", f"Residuals are {excess}. {no_better}"
+        follows = "Rows, noise or model are wrong, and distort the parameters"
+        return "Not shown", "bad", f"Residuals fell, but are still {excess}. {follows}"
     if not errors.determined:
-        reason = _UNDETERMINED if errors.share else "No pose lies in the measured region"
-        return _UNKNOWN, "bad", reason
+        if not errors.share:
+            return _UNKNOWN, "bad", "No pose lies in the measured region"
+        return _UNKNOWN, "bad", "Parameters that had to be held move the platform at every pose"
     if not errors.moved:
         return _HELD, "good", "All parameters of the machine were fixed"
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.inside.limit])
@@ -136,7 +132,7 @@ def _by(result: CalibrationResult, errors: WorkspaceErrors) -> str:
 
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
-    lines = [_noise_line(result), *check_lines(result)[:1], *_found_lines(result)]
+    lines = [_noise_line(result), *check_lines(result), *_found_lines(result)]
     if result.outliers:
         lines.append(f"not fitting the others: {_rows(result.outliers)}")
     shown, tone = "No problems", "good"
@@ -173,24 +169,21 @@ def next_steps(
         return [f"pincal select {folder} --measure {measure}{noise} -o PLAN.csv"]
     if "few-poses" in codes:
         return [f"pincal select {folder} -o PLAN.csv"]
-    return _uses(result, folder) if result.promises else [again("explain")]
+    if not result.promises:
+        return [again("explain")]
+    deploy, view = f"pincal deploy {folder} -o CONTROLLER", f"pincal view {folder}"
+    with suppress(MechanismError):
+        delta_printer(result.identified)
+        return [f"pincal export {folder} -o printer.cfg", deploy, view]
+    if result.nominal.by_readings and len(result.legs) == 1:
+        return [f"pincal export {folder} --original ROBOT.urdf -o CALIBRATED.urdf", deploy, view]
+    return [deploy, f"pincal inverse {folder} POSES.csv -o READINGS.csv", view]
 
 
 def next_line(steps: Sequence[str]) -> str:
     """Return the first of the next steps, as a terminal shows it."""
     other = "measure again, or " * (steps[0].split()[1] == "calibrate")
     return f"next: {other}{steps[0]}"
-
-
-def _uses(result: CalibrationResult, folder: str) -> list[str]:
-    deploy, view = f"pincal deploy {folder} -o CONTROLLER", f"pincal view {folder}"
-    inverse = f"pincal inverse {folder} POSES.csv -o READINGS.csv"
-    with suppress(MechanismError):
-        delta_printer(result.identified)
-        return [f"pincal export {folder} -o printer.cfg", deploy, view]
-    if result.nominal.by_readings and len(result.legs) == 1:
-        return [f"pincal export {folder} --original ROBOT.urdf -o CALIBRATED.urdf", deploy, view]
-    return [deploy, inverse, view]
 
 
 def command_block(step: str) -> Markup:
@@ -232,7 +225,6 @@ def summary(
 def _found_lines(result: CalibrationResult) -> list[str]:
     """Return tolerances that were found, and which coordinates no row measures, in lines."""
     lines = [sentence(finding) for finding in result.findings if finding.code in _NOTED]
-    lines += touched_line(result)
     data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
     missing = [bool(np.isnan(values).all()) for values in data.poses.T]
     elsewhere = data.extra or setup.distances or setup.contacts or setup.instruments
@@ -242,25 +234,6 @@ def _found_lines(result: CalibrationResult) -> list[str]:
     if platform.turns == 3 and all(missing[platform.lengths :]):
         names[-3:] = ["the orientation"]
     return [*lines, f"{', '.join(names)}: forecast, not measured"]
-
-
-def touched_line(result: CalibrationResult) -> list[str]:
-    """Return how many features targets meet in how many rows, and which they miss most."""
-    missed: dict[str, float] = {}
-    rows: dict[str, int] = {}
-    for point in result.options.setup.touched:
-        blocks = [b for b in result.observed if b.name.rpartition("_")[0] == point]
-        if not blocks:  # where a row stood, from which others are measured
-            continue
-        rows[point] = max(len(block.rows) for block in blocks)
-        missed[point] = float(np.sqrt(sum(block.rms_after**2 for block in blocks)))
-    if not rows:
-        return []
-    worst = max(missed, key=lambda point: missed[point])
-    shown = f"{worst} by {amount(missed[worst], 'm')} RMS"
-    shapes = {result.options.setup.touched[point][2].shape for point in rows}
-    kinds = counted(len(rows), shapes.pop() if len(shapes) == 1 else "feature")
-    return [f"touched: {kinds} in {sum(rows.values())} rows, missed most: {shown}"]
 
 
 def rejected_lines(result: CalibrationResult) -> list[str]:
@@ -280,10 +253,11 @@ def _rows(outliers: Sequence[Outlier]) -> str:
 
 def supporting_lines(result: CalibrationResult) -> list[str]:
     """Return what a calibration means, beside its tables and remarks."""
-    lines = [f"{method_line(result)}; {result.message}", _noise_line(result)]
+    lines = [result.message, _noise_line(result)]
     if not result.converged:
         return lines
-    lines += [_BEGUN] * (result.begun is not result.nominal)
+    if result.begun is not result.nominal:
+        lines.append("nominal errors are with the zeros of motors as found")
     lines += [*check_lines(result), *weak_lines(result.weak, result.nominal)]
     lines += [f"fixed by choice, {gauge_line(result)}"] if result.gauge else []
     return lines
@@ -293,19 +267,6 @@ def gauge_line(result: CalibrationResult) -> str:
     """Return what no such measurement can determine, and how it was chosen."""
     freedoms = "; ".join(map(sentence, result.gauge))
     return f"of equivalent parameters those nearest to nominal: {freedoms}"
-
-
-def method_line(result: CalibrationResult) -> str:
-    """Return how parameters were identified."""
-    options = result.options
-    legs = "all legs together, " * (len(result.legs) > 1)
-    if options.latent:
-        return f"{legs}poses estimated with the parameters"
-    if options.method == "all-legs":
-        return f"{legs}poses taken as measured"
-    has_sets = result.measurements.sets is not None and not options.every_pose
-    poses = "the poses of its set" if has_sets else "all poses"
-    return f"each leg alone by {poses}, taken as measured"
 
 
 def _noise_line(result: CalibrationResult) -> str:
@@ -339,7 +300,7 @@ def noise_line(result: CalibrationResult) -> str:
 
 
 def check_lines(result: CalibrationResult) -> list[str]:
-    """Return how held-out rows compare, and how far held-out targets are missed."""
+    """Return how held-out rows compare with what is expected of them, in a line."""
     if (validation := result.validation) is None:
         return []
     folds, count, kind = validation.folds, validation.rows, validation.kind
@@ -349,20 +310,11 @@ def check_lines(result: CalibrationResult) -> list[str]:
             f"{kind} rows prove nothing: the fit misses even its own rows by "
             f"{validation.fit:.3g} σ ({rows}). See the warnings first"
         ]
-    lines = [
+    return [
         f"{kind} error {validation.held_out:.2f} σ, {validation.expected:.2f} σ is expected "
         f"({chance(validation.p_value)}, a warning below {UNLIKELY:g}); in the fit "
         f"{validation.fit:.2f} σ ({rows})"
     ]
-    for missed in validation.targets:
-        unit, (low, high) = missed.unit, missed.rms_ends
-        ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if np.isfinite(high) else ""
-        lines.append(
-            f"{kind} {ERRORS[unit]} error of {missed.target!r}: {amount(missed.rms, unit)}{ends} "
-            f"RMS of {counted(missed.poses, 'pose')}, {number(missed.mean, unit)} on average, "
-            f"{number(missed.largest, unit)} at most; in the fit {number(missed.fit, unit)}"
-        )
-    return lines
 
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:

@@ -105,14 +105,14 @@ class Report(Page):
     @cached_property
     def _page(self) -> str:
         result, steps = self.result, self.steps or answers.next_steps(self.result, self.errors)
-        parts = [self.date, f"{len(result.measurements)} rows", answers.method_line(result)]
+        parts = [self.date, f"{len(result.measurements)} rows", result.message]
         with reading_in(self.units.printed):
             return rendered(
                 "report.html",
                 kind="calibration",
                 name=result.nominal.name,
                 description=result.nominal.description,
-                subtitle=" · ".join([*parts, result.message]),
+                subtitle=" · ".join(parts),
                 warnings=answers.warnings(result),
                 answers=answers.answers(result, self.errors, steps, self.notes),
                 sections=[

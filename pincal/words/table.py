@@ -94,30 +94,15 @@ class Table:
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        cells, style = self.cells(), box.SIMPLE_HEAD if self.heads else None
-
-        def drawn(broken: bool, whole_words: bool) -> RichTable:
-            table = RichTable(box=style, pad_edge=False, show_header=self.heads)
-            for place, (head, side) in enumerate(zip(self.head_cells, self.aligned, strict=True)):
-                head = head.replace(" [", "\n[") if broken else head
-                words = " ".join([head, *(row[place] for row in cells)]).split()
-                table.add_column(
-                    Text(head),
-                    justify=side,
-                    no_wrap=not broken or side == "right",
-                    overflow="fold",
-                    min_width=max(map(len, words), default=1) if whole_words else None,
-                )
-            for row in cells:
-                table.add_row(*map(Text, row))
-            return table
-
-        unbounded = options.update(max_width=_WIDE)
-        for broken, whole_words in ((False, False), (True, True), (True, False)):
-            table = drawn(broken, whole_words)
-            needed = console.measure(table, options=unbounded)
-            if (needed.minimum if broken else needed.maximum) <= options.max_width:
-                break
+        cells, table = self.cells(), RichTable(pad_edge=False, show_header=self.heads)
+        table.box = box.SIMPLE_HEAD if self.heads else None
+        for place, (head, side) in enumerate(zip(self.head_cells, self.aligned, strict=True)):
+            words = " ".join([head, *(row[place] for row in cells)]).split()
+            numbers = max((len(row[place]) for row in cells), default=1) if side == "right" else 1
+            least = max(numbers, *map(len, words), 1)
+            table.add_column(Text(head), justify=side, overflow="fold", min_width=least)
+        for row in cells:
+            table.add_row(*map(Text, row))
         yield Text(self.title, style="bold")
         yield table
         if self.caption:

@@ -1,32 +1,28 @@
-"use strict";
 // Dots of poses: a click goes to one, the pointer over one says which it is.
-function Dots({ data, viewer, pane, node, element, places, about, show }) {
+function Dots({ data, pane, node, element, places, about, show, pixels, move }) {
   const tip = element("div", "", pane);
   Object.assign(tip, { className: "tip", hidden: true });
   let pressed = null; // the event, while a button or finger is down
 
   function under({ clientX, clientY }) { // the pose whose dot is nearest to the pointer
-    const box = pane.getBoundingClientRect();
+    const { left, top } = pane.getBoundingClientRect();
     const visible = (path) => node(`meshcat/sets${path}`).object.visible;
     let [nearest, least] = [-1, 10]; // pixels
-    if (!visible("")) return nearest;
     places.forEach((place, index) => {
-      if (!visible(`/${data.set[index] + 1}`)) return;
-      const { x, y } = place.clone().project(viewer.camera);
-      const away = Math.hypot(box.left + ((x + 1) / 2) * box.width - clientX, box.top + ((1 - y) / 2) * box.height - clientY);
-      if (away < least) [nearest, least] = [index, away];
+      const [x, y] = pixels(place);
+      const away = Math.hypot(left + x - clientX, top + y - clientY);
+      if (away < least && visible("") && visible(`/${data.set[index] + 1}`)) [nearest, least] = [index, away];
     });
     return nearest;
   }
 
   function tell(event, index) {
-    const box = pane.getBoundingClientRect();
+    const { left, top, width } = pane.getBoundingClientRect();
     pane.style.cursor = index < 0 ? "" : "pointer";
     tip.hidden = index < 0;
     if (tip.hidden) return;
     tip.textContent = about(index);
-    const x = Math.min(event.clientX - box.left + 12, box.width - tip.offsetWidth - 4);
-    tip.style.transform = `translate(${x}px, ${Math.max(event.clientY - box.top - 34, 2)}px)`;
+    move(tip, Math.min(event.clientX - left + 12, width - tip.offsetWidth - 4), Math.max(event.clientY - top - 34, 2));
   }
 
   pane.addEventListener("pointerdown", (event) => {

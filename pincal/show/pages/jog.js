@@ -1,4 +1,3 @@
-"use strict";
 // Moves the mechanism off its poses, by sliders and by dragging. Kinematics are Python's: the page
 // asks the server that it came from, and draws and writes what that answers.
 function Jog({ data, viewer, element, doubles, halt, draw, reset }) {

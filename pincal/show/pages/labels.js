@@ -1,6 +1,5 @@
-"use strict";
 // What stands over the scene in letters: names of legs, axes, and a scale.
-function Labels({ data, viewer, pane, node, element, coloured, turned }) {
+function Labels({ data, viewer, pane, node, element, coloured, turned, pixels, move }) {
   const { THREE } = MeshCat;
   const tags = data.legs.map((leg) => {
     const tag = element("div", leg.name, pane);
@@ -11,26 +10,19 @@ function Labels({ data, viewer, pane, node, element, coloured, turned }) {
 
   // Letters of the axes, of the base and of the platform
 
-  const letters = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].flatMap((axis, place) => [false, true].map((moves) => {
-    const tag = element("div", "xyz"[place], pane);
+  const letters = ["base/axes", "platform/body"].flatMap((part) => ["x", "y", "z"].map((letter, place) => {
+    const tag = element("div", letter, pane);
     tag.className = "letter";
     tag.setAttribute("aria-hidden", "true");
-    return { tag, moves, end: axis.map((one) => 1.25 * data.axis * one) };
+    return { tag, part: `meshcat/mechanism/${part}`, end: [0, 1, 2].map((axis) => (axis === place ? 1.25 * data.axis : 0)) };
   }));
-  const world = new THREE.Vector3();
 
   function placeLetters() {
-    const shown = { false: node("meshcat/mechanism/base/axes").object.visible, true: true };
-    for (const { tag, moves, end } of letters) {
-      const { object } = node(moves ? "meshcat/mechanism/platform/body" : "meshcat/mechanism/base/axes");
-      world.set(...end).applyMatrix4(object.matrixWorld);
-      const middle = world.clone().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
-      world.project(viewer.camera);
-      const flat = Math.hypot((world.x - middle.x) * pane.clientWidth, (world.y - middle.y) * pane.clientHeight) < 12;
-      tag.hidden = flat || !shown[moves] || !object.visible;
-      const x = ((world.x + 1) / 2) * pane.clientWidth - 4;
-      const y = ((1 - world.y) / 2) * pane.clientHeight - 9;
-      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
+    for (const { tag, part, end } of letters) {
+      const { object } = node(part);
+      const [begin, tip] = [[0, 0, 0], end].map((point) => pixels(new THREE.Vector3(...point).applyMatrix4(object.matrixWorld)));
+      tag.hidden = !object.visible || Math.hypot(tip[0] - begin[0], tip[1] - begin[1]) < 6; // seen from its end
+      move(tag, tip[0] - 4, tip[1] - 9);
     }
   }
 
@@ -39,30 +31,29 @@ function Labels({ data, viewer, pane, node, element, coloured, turned }) {
 
   function placeScale() {
     const { top, bottom, zoom } = viewer.camera;
-    const pixels = (zoom * pane.clientHeight) / (top - bottom); // of a metre
-    const decade = 10 ** Math.floor(Math.log10(140 / pixels));
-    const length = decade * ([5, 2].find((factor) => factor * decade * pixels < 140) || 1);
-    line.style.width = `${(length * pixels).toFixed(1)}px`;
-    const said = length >= 1 ? `${+length.toPrecision(3)} m` : `${+(1e3 * length).toPrecision(3)} mm`;
-    if (text.textContent !== said) text.textContent = said; // the page is laid out anew by it
+    const metre = (zoom * pane.clientHeight) / (top - bottom); // in pixels
+    const decade = 10 ** Math.floor(Math.log10(140 / metre));
+    const length = decade * ([5, 2].find((factor) => factor * decade * metre < 140) || 1);
+    line.style.width = `${(length * metre).toFixed(1)}px`;
+    const shown = length >= 1 ? `${+length.toPrecision(3)} m` : `${+(1e3 * length).toPrecision(3)} mm`;
+    if (text.textContent !== shown) text.textContent = shown; // the page is laid out anew by it
   }
 
   function placeTags() {
     const { clientWidth: width, clientHeight: height } = pane;
-    const feet = tags.map(({ foot }) => foot.clone().project(viewer.camera));
-    const middle = feet.reduce((sum, at) => sum + at.x, 0) / feet.length;
+    const feet = tags.map(({ foot }) => pixels(foot));
+    const middle = feet.reduce((sum, [x]) => sum + x, 0) / feet.length;
     const taken = [0, bar.offsetHeight / 2].map((down) => ({ x: bar.offsetLeft, y: bar.offsetTop + down, w: bar.offsetWidth }));
     for (const [index, { tag }] of tags.entries()) {
-      const at = feet[index];
-      const beside = at.x < middle - 1e-6 ? -12 - tag.offsetWidth : 12; // away from the mechanism
-      const x = Math.min(Math.max(((at.x + 1) / 2) * width + beside, 2), width - tag.offsetWidth - 2);
-      const low = Math.min(Math.max(((1 - at.y) / 2) * height + 8, 2), height - tag.offsetHeight - 2);
-      const [w, h] = [tag.offsetWidth, tag.offsetHeight];
-      const over = (there) => taken.some((one) => Math.abs(one.y - there) < h && x < one.x + one.w && one.x < x + w);
-      const shifts = [0, 1, -1, 2, -2, 3, -3].map((n) => low + n * h).filter((there) => there > 0 && there + h < height);
-      const y = shifts.find((there) => !over(there)) ?? low;
+      const [w, h, [left, top]] = [tag.offsetWidth, tag.offsetHeight, feet[index]];
+      const beside = left < middle - 1e-3 ? -12 - w : 12; // away from the mechanism
+      const x = Math.min(Math.max(left + beside, 2), width - w - 2);
+      const low = Math.min(Math.max(top + 8, 2), height - h - 2);
+      const over = (y) => taken.some((other) => Math.abs(other.y - y) < h && x < other.x + other.w && other.x < x + w);
+      const shifts = [0, 1, -1, 2, -2, 3, -3].map((n) => low + n * h).filter((y) => y > 0 && y + h < height);
+      const y = shifts.find((shift) => !over(shift)) ?? low;
       if (!tag.hidden) taken.push({ x, y, w });
-      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
+      move(tag, x, y);
     }
   }
 
@@ -71,7 +62,7 @@ function Labels({ data, viewer, pane, node, element, coloured, turned }) {
     return pane.clientWidth < 500 ? 0 : Math.min(widest + 12, pane.clientWidth / 5); // over what is drawn
   }
 
-  const place = () => [placeScale, placeTags, placeLetters].forEach((one) => one()); // names keep off the scale
+  const place = () => [placeScale, placeTags, placeLetters].forEach((placed) => placed()); // names keep off the scale
 
   return { place, beside, show: (on) => tags.forEach(({ tag }) => (tag.hidden = !on)) };
 }

@@ -1,4 +1,3 @@
-"use strict";
 // The panel beside meshcat's viewer: it moves the parts of the scene from pose to pose.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
@@ -25,6 +24,12 @@
     if (parent) parent.append(made);
     return made;
   };
+
+  const pixels = (point) => { // where it is in the pane
+    const { x, y } = point.clone().project(viewer.camera);
+    return [((x + 1) / 2) * pane.clientWidth, ((1 - y) / 2) * pane.clientHeight];
+  };
+  const move = (tag, x, y) => (tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`);
 
   const setVisible = (path, visible) => {
     node(path).set_property("visible", visible);
@@ -163,7 +168,7 @@
   const [{ matrices, paths }] = data.bodies;
   const platform = paths.indexOf(PLATFORM);
   const places = data.set.map((_, index) => turned(matrices.subarray(12 * (index * paths.length + platform) + 9)));
-  Dots({ data, viewer, pane, node, element, places, about, show: (index) => [play(false), show(index)] });
+  Dots({ data, pane, node, element, places, about, pixels, move, show: (index) => [play(false), show(index)] });
   const jog = window.Jog ? Jog({ data, viewer, element, doubles, halt: () => play(false), draw: moved, reset: () => show(pose) }) : null;
 
   function checkbox(parent, name, shown, change, colour) {
@@ -200,7 +205,7 @@
     }, colour);
   });
 
-  const labels = Labels({ data, viewer, pane, node, element, coloured, turned });
+  const labels = Labels({ data, viewer, pane, node, element, coloured, turned, pixels, move });
   checkbox(find("layers"), "names of legs", true, labels.show);
 
   // The camera, in parallel projection: from above where all is in a plane, else from the side
@@ -236,27 +241,20 @@
 
   // What people do
 
-  const [forth, back] = [() => show(pose + 1), () => show(pose - 1)];
-  const keys = {
-    ArrowRight: forth,
-    ArrowUp: forth,
-    ArrowLeft: back,
-    ArrowDown: back,
-    Home: () => show(0),
-    End: () => show(poses - 1),
-    " ": () => play(!timer),
-  };
+  const steps = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, Home: -poses, End: poses };
   document.addEventListener("keydown", (event) => {
     const typing = event.key === " " && ["BUTTON", "INPUT"].includes(event.target.tagName) && event.target.id !== "slider";
     const own = event.target.matches("select, input[type=range]:not(#slider)"); // these have keys of their own
-    if (event.key in keys && !typing && !own && !event.ctrlKey && !event.altKey && !event.metaKey) {
-      event.preventDefault();
-      keys[event.key]();
-    }
+    const ours = event.key === " " || event.key in steps;
+    if (!ours || typing || own || event.ctrlKey || event.altKey || event.metaKey) return;
+    event.preventDefault();
+    if (event.key === " ") play(!timer);
+    else show(pose + steps[event.key]);
   });
   find("slider").max = poses;
   find("slider").addEventListener("input", (event) => show(event.target.valueAsNumber - 1));
-  for (const [id, act] of Object.entries({ back, forth, play: () => play(!timer), fit })) find(id).addEventListener("click", act);
+  const buttons = { back: () => show(pose - 1), forth: () => show(pose + 1), play: () => play(!timer), fit };
+  for (const [id, act] of Object.entries(buttons)) find(id).addEventListener("click", act);
   fit();
   show(0);
   paint();
