@@ -15,19 +15,19 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 624,
-    "calibration": 6_730,
+    "calibration": 6_750,
     "cli": 2_965,
-    "design": 2_304,
+    "design": 2_302,
     "estimation": 4_894,
     "files": 3_433,
     "formats": 3_668,
     "instruments": 1_578,
-    "kinematics": 3_336,
+    "kinematics": 3_323,
     "model": 3_626,
     "show": 4_536,
-    "symmetry": 1_402,
-    "words": 1_002,
-    "workspace": 1_580,
+    "symmetry": 1_395,
+    "words": 1_007,
+    "workspace": 1_563,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {

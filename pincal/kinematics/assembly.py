@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.kinematics.batches import block_diagonal
+from pincal.kinematics.batches import block_diagonal, turn_of_points
 from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
@@ -119,17 +119,13 @@ def _fitted(closures: Sequence[LegClosure], joints: Sequence[Array], platform: P
     for closure, q in zip(closures, joints, strict=True):
         if closure.leg.closes == "frame":
             return closure.frame(q)
-    matrix, space = np.eye(4), platform.space
+    matrix = np.eye(4)
     tips = np.concatenate([closure.tips(q) for closure, q in zip(closures, joints, strict=True)])
     points = np.concatenate([closure.targets(np.eye(4)[None]) for closure in closures])
-    if space == 2:
+    if platform.space == 2:
         tips[:, 2] = points[:, 2] = 0.0
-    if "rad" in platform.units and len(closures) > 1:  # Kabsch 1976
-        M = ((tips - tips.mean(axis=0)).T @ (points - points.mean(axis=0)))[:space, :space]
-        u, _, vt = np.linalg.svd(M)
-        straight = np.ones(space)
-        straight[-1] = np.sign(np.linalg.det(u @ vt)) or 1.0
-        matrix[:space, :space] = (u * straight) @ vt
+    if "rad" in platform.units and len(closures) > 1:
+        matrix[:3, :3] = turn_of_points(points, tips, platform.space)
     matrix[:3, 3] = tips.mean(axis=0) - matrix[:3, :3] @ points.mean(axis=0)
     return matrix[None]
 

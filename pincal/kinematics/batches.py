@@ -179,6 +179,19 @@ def turn_between(first: Array, second: Array) -> Array:
     return vectors
 
 
+def turn_of_points(first: Array, second: Array, space: int, sign: float = 1.0) -> Array:
+    """Return the rotation (a reflection of sign −1) that best turns points to others, (3, 3).
+
+    Of shape (n, 3) about their centres (Kabsch 1976); in the plane across z if space is 2.
+    """
+    M = (second - second.mean(axis=0)).T @ (first - first.mean(axis=0))
+    U, _, Vt = np.linalg.svd(M[:space, :space])
+    flip, turn = np.ones(space), np.eye(3)
+    flip[-1] = sign * np.sign(np.linalg.det(U @ Vt))
+    turn[:space, :space] = (U * flip) @ Vt
+    return turn
+
+
 def inverse_left_jacobian(vectors: Array) -> Array:
     """Return 1 − S/2 + f S² of rotation vectors, (N, 3, 3); S is v ×, S² = v vᵀ − |v|² 1."""
     squares = (vectors * vectors).sum(axis=1)

@@ -62,10 +62,8 @@ def _followed(closure: LegClosure, matrices: Array) -> Array:
     """Return joint positions that follow poses (N, 4, 4) on straight ways from home."""
     leg, platform, count = closure.leg, closure.platform, len(matrices)
     homes, joints = np.tile(platform.home, (count, 1)), np.tile(leg.home, (count, 1))
-    start, twists = (
-        platform.matrices(homes),
-        platform.twists_between(homes, platform.from_matrices(matrices)),
-    )
+    start = platform.matrices(homes)
+    twists = platform.twists_between(homes, platform.from_matrices(matrices))
     for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
         poses = platform.displaced(start, share * twists)
         step = _newton_step(closure, closure.evaluate(closure.deformed(joints), poses))
@@ -102,16 +100,15 @@ def _places(closure: LegClosure, matrices: Array) -> Array:
 def mode_sign(closure: Closure) -> Array:
     """Return the sign of det ∂c/∂(θ, p), (N,); 1 where that is not square or none is passive."""
     leg = closure.leg.leg
-    order, count = [*leg.active, *leg.passive], len(closure.gap)
+    order = [*leg.active, *leg.passive]
     if len(order) != closure.gap.shape[1] or not leg.passive:
-        return np.ones(count)
+        return np.ones(len(closure.gap))
     columns = list(closure.by_joints.transpose(2, 0, 1)[order])
-    if len(columns) == 2:
+    if len(columns) == 2:  # quicker than NumPy's determinants
         (a, b), (c, d) = (column.T for column in columns)
         return np.sign(a * d - b * c)
     if len(columns) == 3:
-        first, second, third = columns
-        return np.sign((first * cross(second, third)).sum(axis=1))
+        return np.sign((columns[0] * cross(*columns[1:])).sum(axis=1))
     return np.sign(np.linalg.det(np.stack(columns, axis=2)))
 
 
@@ -208,9 +205,10 @@ def _turn_within_limits(leg: LegClosure, joints: Array) -> None:
     for joint, positions in zip(leg.leg.moving, joints.T, strict=True):
         if joint.turns and joint.limited:
             low, high = joint.lower - ROUNDING, joint.upper + ROUNDING
-            outside = np.isfinite(positions) & ((positions < low) | (positions > high))
-            turned = low + (positions[outside] - low) % (2 * np.pi)
-            positions[outside] = np.where(turned <= high, turned, positions[outside])
+            with np.errstate(invalid="ignore"):
+                turned = low + (positions - low) % (2 * np.pi)
+                outside = (positions < low) | (positions > high)
+            np.copyto(positions, turned, where=outside & (turned <= high))
 
 
 def _search(
@@ -259,10 +257,9 @@ def _relative_gap(legs: Sequence[LegClosure], closure: Closure) -> Array:
 def sensor_law(leg: LegClosure) -> SensorLaw:
     """Return what a leg's sensors read at the leg's parameter values, made once."""
     sensors = leg.leg.sensors
+    zeros, slopes = np.zeros(len(sensors)), np.zeros((len(sensors), len(leg.parameters)))
     if any(sensor.homed for sensor in sensors):
         zeros, slopes = _at_home(leg)
-    else:
-        zeros, slopes = np.zeros(len(sensors)), np.zeros((len(sensors), len(leg.parameters)))
     return law_of_sensors(leg.leg, leg.by_name, zeros, slopes)
 
 

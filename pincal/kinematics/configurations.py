@@ -188,14 +188,8 @@ def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
 
 def home_of(mechanism: Mechanism) -> Plan:
     """Return the home configuration as a plan of one."""
-    home = np.array([mechanism.platform.home])
-    if not mechanism.by_readings:
-        return Plan(home)
-    readings = [
-        sensor_law(leg).reading(leg.leg.home[None, leg.leg.active])
-        for leg in nominal_legs(mechanism)
-    ]
-    return Plan(home, readings=np.concatenate(readings, axis=1))
+    readings = reading_range(mechanism)[2][None] if mechanism.by_readings else None
+    return Plan(np.array([mechanism.platform.home]), readings=readings)
 
 
 def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:

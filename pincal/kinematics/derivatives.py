@@ -133,18 +133,11 @@ def leg_demands_at(
     influences: Sequence[Array] | None = None,
     near: Sequence[Array] = (),
 ) -> list[Demand]:
-    """Return what legs demand, each at poses of its own, alike ones evaluated in one call.
+    """Return what legs demand, each at N poses (N, 4, 4) of its own, alike ones in one call.
 
-    With readings of inverse kinematics values are zero, and all is NaN out of reach; with readings
-    that are known, passive joints are where the leg closes best.
-
-    Args:
-        legs: The legs at their parameter values.
-        placed: Of each leg N poses, matrices (N, 4, 4).
-        known: Of each leg readings, then influences, shape (N, n_active [+ n_influences]); readings
-            are those of inverse kinematics if not given.
-        influences: Of each leg for inverse kinematics; at their reference if not given.
-        near: Of each leg joints from which the search starts at known readings.
+    Known are of each leg readings, then influences, (N, n_active [+ n_influences]): passive joints
+    are where it closes best, searched from joints near. If not known, readings are those of inverse
+    kinematics at influences, or their reference: values are zero, and all is NaN out of reach.
     """
     forms = [(leg.form, len(poses)) for leg, poses in zip(legs, placed, strict=True)]
     influences = influences or [np.zeros((len(poses), 0)) for poses in placed]
@@ -195,18 +188,15 @@ def identification_jacobian(
 ) -> Array:
     """Return the identification Jacobian of one leg: ∂(predicted reading)/∂parameter.
 
-    C = ∂g/∂φ (5R paper, Eq. 6; 3-RRR paper, Eq. 11), by implicit differentiation of the
-    closure with Pinocchio's joint columns; inverse kinematics is included.
+    C = ∂g/∂φ (5R paper, Eq. 6; 3-RRR paper, Eq. 11), by implicit differentiation of the closure;
+    inverse kinematics is included. Shape (N, n_params), [rad/unit] or [m/unit], NaN where the leg
+    does not reach; with several sensors a row for each, pose by pose.
 
     Args:
         mechanism: The mechanism.
         leg: Name of the leg.
         poses: N platform poses: coordinates, shape (N, dof), or transforms.
         parameters: Parameter values of the leg, shape (n_params,); nominal if not given.
-
-    Returns:
-        Shape (N, n_params), [rad/unit] or [m/unit]; NaN where the leg does not reach. With
-        several sensors a row for each, pose by pose.
 
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.

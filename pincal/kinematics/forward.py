@@ -127,12 +127,9 @@ def forward(
 ) -> ForwardSolution:
     """Return the poses of sensor readings, in the assembly mode of home.
 
-    Without a guess they are searched from home, then on the way from home. Rows that are not found
-    have no pose, and a reason.
-
-    More legs than freedoms have no pose in common if their readings are not exact; the pose is
-    then that of the least sum of squared gaps between legs and platform, and ``gap`` says how
-    far the readings contradict each other.
+    Without a guess they are searched from home, then on the way from home; rows that are not found
+    have no pose, and a reason. More legs than freedoms have no pose in common if readings are not
+    exact: it is then that of the least sum of squared gaps, and ``gap`` is how far they contradict.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from pincal.kinematics.batches import turn_of_points
 from pincal.model.checks import ALIKE
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element, applied, isometry
@@ -78,14 +79,15 @@ class Points:
             if any(self._rank(points[sources]) < self._least_rank for points in bodies):
                 return None
             pairs = ((points[sources], points[targets]) for points in bodies)
-            return Element.of(*(_procrustes(a, b, sign, space) for a, b in pairs))
+            return Element.of(*(_shifted(turn_of_points(*p, space, sign), *p) for p in pairs))
         points, owners = self._joined
         to = dict(zip(sources, targets, strict=True))
         rows = [i for i, owner in enumerate(owners) if owner < 0 or owner in to]
         if self._rank(points[rows]) < self._least_rank:
             return None
         after = [i + to[int(owners[i])] - owners[i] if owners[i] >= 0 else i for i in rows]
-        base = _procrustes(points[rows], points[after], sign, space)
+        pair = points[rows], points[after]
+        base = _shifted(turn_of_points(*pair, space, sign), *pair)
         if self.mechanism.platform.turns:
             return Element.of(base, np.linalg.inv(self.home) @ base @ self.home)
         return Element.of(*(_shifted(base[:3, :3], p[sources], p[targets]) for p in bodies))
@@ -149,17 +151,6 @@ class Points:
         deviation = platform.matrices(platform.from_matrices(carried)) - carried
         deviation[:, :3, 3] /= self.size
         return bool(np.abs(deviation).max() <= ALIKE)
-
-
-def _procrustes(first: Array, second: Array, sign: float, space: int) -> Array:
-    """Return the isometry that best takes points to others, in the plane if space is 2."""
-    M = (second - second.mean(axis=0)).T @ (first - first.mean(axis=0))
-    U, _, Vt = np.linalg.svd(M[:space, :space])
-    flip = np.ones(space)
-    flip[-1] = sign * np.sign(np.linalg.det(U @ Vt))
-    Q = np.eye(3)
-    Q[:space, :space] = U @ (flip[:, None] * Vt)
-    return _shifted(Q, first, second)
 
 
 def _shifted(Q: Array, first: Array, second: Array) -> Array:

@@ -146,7 +146,11 @@ def carry(leg: Leg, element: Element) -> Leg:
         SymmetryError: a placement whose coordinates cannot express the carried leg, or parameters
             that have terms.
     """
-    _check_terms(leg, element)
+    if varying := [parameter for parameter, term in leg.terms if term.of != LOAD]:
+        raise SymmetryError(
+            f"{leg.name}: {listed(varying)} have terms, of which the {element} may make others; "
+            "carry the leg without them, and give them to the legs that it becomes"
+        )
     old, new = leg.nominal_by_name, dict(leg.parameters)
     local = LOCAL_MIRROR if element.reflection else np.eye(3)
     on_base = {joint.name for joint, i in zip(leg.joints, leg.carriers, strict=True) if i < 0}
@@ -156,10 +160,7 @@ def carry(leg: Leg, element: Element) -> Leg:
         context = f"{leg.name}, joint {joint.name!r}"
         constant = joint.placement.rest(old, context).copy()
         if closes or joint.name in on_base:
-            body, context = (
-                element.platform if closes else element.base,
-                f"{context}: the {element}",
-            )
+            body, context = element.bodies[1 if closes else 0], f"{context}: the {element}"
             moved, residual = _on_body(joint.placement, body, constant, old, new, context)
             if closes == "point":  # its frame has no meaning
                 residual[:3, :3] = constant[:3, :3]
@@ -180,15 +181,6 @@ def carry(leg: Leg, element: Element) -> Leg:
     ends = tuple(end.moved(partial(carried, closes=end.closes)) for end in leg.ends)
     parameters = tuple(new.items())
     return canonical(replace(leg, joints=joints, point=point, ends=ends, parameters=parameters))
-
-
-def _check_terms(leg: Leg, element: Element) -> None:
-    """Raise SymmetryError if parameters of a leg deform by more than loads."""
-    if varying := [parameter for parameter, term in leg.terms if term.of != LOAD]:
-        raise SymmetryError(
-            f"{leg.name}: {listed(varying)} have terms, of which the {element} may make others; "
-            "carry the leg without them, and give them to the legs that it becomes"
-        )
 
 
 def canonical(leg: Leg) -> Leg:

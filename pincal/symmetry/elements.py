@@ -94,18 +94,22 @@ class Element:
         return self.base[:3, :3]
 
     @property
+    def bodies(self) -> Array:
+        """Both isometries, of base and platform, shape (2, 4, 4)."""
+        return np.stack((self.base, self.platform))
+
+    @property
     def turns(self) -> Array:
         """Orthogonal matrices of both isometries, shape (2, 3, 3)."""
-        return np.stack((self.base[:3, :3], self.platform[:3, :3]))
+        return self.bodies[:, :3, :3]
 
     def after(self, first: Element) -> Element:
         """Return the composition, this one last."""
-        return Element.of(self.base @ first.base, self.platform @ first.platform)
+        return Element.of(*(self.bodies @ first.bodies))
 
     def inverse(self) -> Element:
         """Return the element that undoes this one."""
-        bodies = ((G[:3, :3].T, G[:3, 3]) for G in (self.base, self.platform))
-        return Element.of(*(isometry(Q, -Q @ t) for Q, t in bodies))
+        return Element.of(*(isometry(G[:3, :3].T, -G[:3, :3].T @ G[:3, 3]) for G in self.bodies))
 
     def equals(self, second: Element) -> bool:
         """Return whether two elements are the same but for rounding errors."""
@@ -260,9 +264,9 @@ def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float
     Centres, (3,), are near fixed points of the isometries of base and platform; the size is [m].
     """
     table, parts = product_table(elements), []
-    bodies = [e.base for e in elements], [e.platform for e in elements]
+    bodies = np.stack([element.bodies for element in elements], axis=1)
     for isometries, centre in zip(bodies, centres, strict=True):
-        turns = np.array(isometries)[:, :3, :3]
+        turns = isometries[:, :3, :3]
         for _ in range(_ROUNDS):  # Q by averaging Q(gh) Q(h)ᵀ
             U, _, Vt = np.linalg.svd(np.einsum("ghij,hkj->gik", turns[table], turns))
             turns = U @ Vt

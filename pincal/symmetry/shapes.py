@@ -21,12 +21,12 @@ from pincal.kinematics.batches import lengths
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure, nominal_legs
-from pincal.model.checks import ROUNDING
+from pincal.model.checks import ROUNDING, wrapped
 from pincal.model.joint import Joint
 from pincal.model.mechanism import Mechanism
 from pincal.model.terms import LOAD
 from pincal.symmetry.candidates import NEARLY, Points
-from pincal.symmetry.elements import Element, applied, wrapped
+from pincal.symmetry.elements import Element, applied
 from pincal.types import Array
 
 Permutation = tuple[int, ...]
@@ -167,7 +167,13 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
     names = [joint.name for joint in second.joints]
     for name, shift in zip([*names, *second.ends], apart.tolist(), strict=True):
         yield Difference(f"position of joint {name!r}", shift, "m")
-    Q, pointing = element.matrix, first.pointing if first.pointing == second.pointing else []
+    yield from _turns_apart(first, element.matrix, second)
+
+
+def _turns_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> Iterator[Difference]:
+    """Yield in what joints differ whose axes a matrix carried: directions, limits, readings."""
+    pointing = first.pointing if first.pointing == second.pointing else []
+    names = [joint.name for joint in second.joints]
     axes = [index for index in range(len(names)) if index not in pointing]
     axial = [[np.linalg.det(Q) if joint.turns else 1.0] for joint in first.joints]
     directions = axial * first.directions @ Q.T
@@ -200,7 +206,7 @@ def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: flo
         shifts = np.where(carried == ends, 0.0, np.abs(carried - ends))
     finite = bool(np.isfinite(shifts).all())
     if joint.turns and finite:
-        shifts = np.abs([wrapped(float(value)) for value in shifts])
+        shifts = np.abs(wrapped(shifts))
     deviation = float(shifts.max()) if finite else None
     return Difference(f"limits of joint {joint.name!r}", deviation, "rad" if joint.turns else "m")
 
@@ -226,7 +232,7 @@ def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> It
         moved.append(sides * (position - shape.positions[shape.active]))
     for unit, shifts in zip(leg.reading_units, (moved[0] - moved[1]).T, strict=True):
         if unit == "rad":
-            shifts = np.array([wrapped(float(value)) for value in shifts])
+            shifts = wrapped(shifts)
         yield Difference("reading of the sensor", float(np.abs(shifts).max()), unit, of_sensor=True)
 
 

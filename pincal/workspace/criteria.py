@@ -77,7 +77,7 @@ class Margins:
         """Return the type-1 margin for a mechanism."""
         if self.type1 is not None:
             return self.type1
-        at_home = home_grip(mechanism)
+        at_home = float(margins(mechanism, [mechanism.platform.home]).type1.min())
         return 0.5 * at_home if at_home < _FAR else _FAR
 
     def least_type2(self, mechanism: Mechanism) -> float:
@@ -87,42 +87,44 @@ class Margins:
         return min(0.2, 0.5 * abs(home_determinant(mechanism)))
 
 
+def _check_stiff(mechanism: Mechanism) -> None:
+    """Raise WorkspaceError if a platform is held nowhere, or not at home."""
+    rows, dof = mechanism.constraints, mechanism.platform.dof
+    if rows < dof:
+        raise WorkspaceError(
+            f"the legs of {mechanism.name!r} make {rows} equations, too few for the {dof} "
+            "freedoms of its platform: they do not hold it anywhere. Add legs, read more of "
+            "their joints, or ask for reach alone (--no-margins)"
+        )
+    if abs(home_determinant(mechanism)) < EXACT:
+        raise WorkspaceError(
+            f"the home pose of {mechanism.name!r} is at a type-2 singularity, so it does not "
+            "say which side is meant; move home, or count poses on both sides (--no-margins)"
+        )
+
+
 class Criteria:
     """Decides which poses of a mechanism count."""
 
     def __init__(self, mechanism: Mechanism, least: Margins | None = None) -> None:
         self.mechanism = mechanism
         self.least = as_margins(least)
+        if self.least.tension is not None and mechanism.cables is None:
+            raise WorkspaceError(f"{mechanism.name!r} has no 'cables' in its mechanism.yaml")
         self.type1 = self.least.least_type1(mechanism)
         """Margin from type-1 singularities."""
         self._type2 = self.least.least_type2(mechanism)
-        rows, dof = mechanism.constraints, mechanism.platform.dof
-        if self._type2 > -np.inf and rows < dof:
-            raise WorkspaceError(
-                f"the legs of {mechanism.name!r} make {rows} equations, too few for the {dof} "
-                "freedoms of its platform: they do not hold it anywhere. Add legs, read more of "
-                "their joints, or ask for reach alone (--no-margins)"
-            )
-        if self._type2 > -np.inf and abs(home_determinant(mechanism)) < EXACT:
-            raise WorkspaceError(
-                f"the home pose of {mechanism.name!r} is at a type-2 singularity, so it does not "
-                "say which side is meant; move home, or count poses on both sides (--no-margins)"
-            )
+        if self._type2 > -np.inf:
+            _check_stiff(mechanism)
         self._legs = nominal_legs(mechanism)
         forms = [form for leg in self._legs if (form := closed_form(leg))]
         self.reaches = tuple(form.reach(self.type1) for form in forms)
         self._searched = [leg for leg in self._legs if not closed_form(leg)][:-1]
+        self._pulls = mechanism.cables is not None and self._type2 > -np.inf
         exact = len(forms) == len(self._legs) and all(reach.exact for reach in self.reaches)
-        self._exact = exact and not self._pulls()
+        self._exact = exact and not self._pulls
         self.in_closed_form = self._type2 == -np.inf and self._exact
         """Whether the reaches decide alone."""
-
-    def _pulls(self) -> bool:
-        """Return whether tensions of cables are asked for."""
-        cables = self.mechanism.cables
-        if self.least.tension is not None and cables is None:
-            raise WorkspaceError(f"{self.mechanism.name!r} has no 'cables' in its mechanism.yaml")
-        return cables is not None and self._type2 > -np.inf
 
     def __call__(self, matrices: Array) -> Mask:
         """Return which poses ``T_base_platform``, shape (N, 4, 4), count."""
@@ -160,27 +162,20 @@ class Criteria:
         """Return which poses count of those at which legs were closed."""
         with np.errstate(invalid="ignore"):
             inside = np.all(by_leg(closed, lambda legs: legs.reached), axis=0)
-            for leg, joints in zip(
-                self._legs, by_leg(closed, lambda legs: legs.joints), strict=True
-            ):
-                inside &= ~beyond_limits(leg.leg, joints).any(axis=1)
+            joints = by_leg(closed, lambda legs: legs.joints)
+            for leg, positions in zip(self._legs, joints, strict=True):
+                inside &= ~beyond_limits(leg.leg, positions).any(axis=1)
             least = max(self.type1 - ROUNDING, _GRIP)
             inside &= (drive_margins(closed) >= least).all(axis=1)
             if self._type2 > -np.inf:
                 lines = by_leg(closed, lambda legs: legs.closure.constraint_by_pose)
                 inside &= platform_margin(self.mechanism, lines) >= self._type2 - ROUNDING
-            if self._pulls() and inside.any():
+            if self._pulls and inside.any():
                 drives = by_leg(closed, lambda legs: legs.closure.drive)
                 by_length = [(b / d)[inside] for b, d in zip(lines, drives, strict=True)]
                 matrices = closed[0][1].closure.matrices[: len(inside)][inside]
                 inside[inside] = can_hold(self.mechanism, matrices, by_length, self.least.tension)
         return inside
-
-
-@lru_cache(maxsize=64)
-def home_grip(mechanism: Mechanism) -> float:
-    """Return the least distance of home from type-1 singularities; NaN if a leg misses it."""
-    return float(margins(mechanism, [mechanism.platform.home]).type1.min())
 
 
 def as_margins(least: Margins | None) -> Margins:

@@ -21,7 +21,6 @@ from pincal.files.table import write_table
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
-from pincal.model.terms import Load
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element, applied
 from pincal.types import Array, Mask
@@ -55,11 +54,8 @@ class PositionTest:
         self.mechanism, self.orientations = mechanism, orientations
         self.every, self.least = every, least
         self._criteria = criteria_of(mechanism, least)
-
-    @property
-    def in_closed_form(self) -> bool:
+        self.in_closed_form = self._criteria.in_closed_form
         """Whether no loop needs to be closed to decide."""
-        return self._criteria.in_closed_form
 
     def __call__(self, positions: Array) -> Mask:
         """Return which positions, shape (N, 3), count."""
@@ -126,8 +122,11 @@ def usable(
         carrier = None if move is None else grid.carrier(move, slack)
         if carrier is None or not test.orientations.maps(element, slack):
             continue
-        if mechanism.cables and mechanism.load and not _weighs_alike(mechanism.load, element):
-            continue
+        if mechanism.cables and (load := mechanism.load):  # which tensions depend on
+            down, centre = np.array(load.gravity), np.array([load.centre])
+            moved = element.matrix @ down - down, applied(element.platform, centre) - centre
+            if max(np.abs(shift).max() for shift in moved) > ROUNDING:
+                continue
         if test.least.least_type2(mechanism) > -np.inf:
             with np.errstate(invalid="ignore"):
                 image = margins(mechanism, element.poses(mechanism.platform, home))
@@ -135,13 +134,6 @@ def usable(
                     continue
         elements[element] = carrier
     return elements
-
-
-def _weighs_alike(load: Load, element: Element) -> bool:
-    """Return whether an element leaves a load as it is, which tensions of cables depend on."""
-    down, centre = np.array(load.gravity), np.array([load.centre])
-    moved = element.matrix @ down - down, applied(element.platform, centre) - centre
-    return all(np.abs(shift).max() <= ROUNDING for shift in moved)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -202,11 +194,6 @@ class Workspace:
         """Area [m²] or volume [m³]; a length [m] on a line."""
         return float(sum(self.asked.measures(index).sum() for index in counting(self.inside)))
 
-    @property
-    def unit(self) -> str:
-        """Unit of ``measure``; empty for a single position."""
-        return ("", "m", "m²", "m³")[self.asked.dimension]
-
     @cached_property
     def uncertainty(self) -> float:
         """By how much ``measure`` is off at most: half a cell along the whole edge on the grid."""
@@ -222,8 +209,9 @@ class Workspace:
 
     @property
     def size(self) -> str:
-        """Its measure to the digits that are known, with the unit."""
-        return f"{measured(self.measure, self.uncertainty)} {self.unit}"
+        """Its measure to the digits that are known, with the unit; a single position has none."""
+        unit = ("", "m", "m²", "m³")[self.asked.dimension]
+        return f"{measured(self.measure, self.uncertainty)} {unit}"
 
     def __repr__(self) -> str:
         return (

@@ -90,8 +90,8 @@ def sample_configurations(
 ) -> Plan:
     """Return configurations: poses, and readings where these do not follow from poses.
 
-    Readings are spread evenly between the limits of the active joints, and poses are those of
-    forward kinematics; other mechanisms have the poses of ``sample_workspace``.
+    Readings are spread evenly between the limits of the active joints, poses are those of forward
+    kinematics; other mechanisms have the poses of ``sample_workspace``.
 
     Args:
         mechanism: The mechanism.
