@@ -19,8 +19,8 @@ LINES = {
     "cli": 2_965,
     "design": 2_302,
     "estimation": 4_894,
-    "files": 3_433,
-    "formats": 3_668,
+    "files": 3_412,
+    "formats": 3_645,
     "instruments": 1_578,
     "kinematics": 3_323,
     "model": 3_626,
@@ -31,9 +31,9 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 183,
+    "files": 182,
     "page lines": 916,
-    "largest folder": 16,
+    "largest folder": 15,
     "vague names": 0.01,
     "class names twice": 0,
     "dataclasses": 144,

@@ -20,10 +20,10 @@ from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, work
 from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option, typed_name
 from pincal.errors import MisfitError
 from pincal.files.columns import columns_of
+from pincal.files.further_tables import with_pairs
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
-from pincal.files.pairs import with_pairs
 from pincal.files.table import TextTable, write_table
 from pincal.model.relations import ORIGIN
 from pincal.option import option, option_of

@@ -41,7 +41,7 @@ from pincal.design.planning import (
 )
 from pincal.design.simulate import Simulation
 from pincal.files.columns import Columns, columns_of, reading_columns, sheet_columns
-from pincal.files.corners import corners_of
+from pincal.files.further_tables import corners_of
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing_of, writing_together

@@ -21,9 +21,8 @@ from pincal.files.columns import (
     table_of,
     unknown_columns,
 )
-from pincal.files.corners import read_corners
+from pincal.files.further_tables import read_corners, related_columns, with_pairs
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.pairs import related_columns, with_pairs
 from pincal.files.table import TextTable, is_dataframe, read_table, renamed
 from pincal.files.text import plain_number
 from pincal.model.checks import array_of, must_be

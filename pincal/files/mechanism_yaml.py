@@ -76,17 +76,6 @@ def _zero(entry: Entry) -> float | Literal["home"]:
     return entry.number()
 
 
-def _sensor(entry: Entry, leg: str) -> Sensor:
-    return entry.built(
-        Sensor,
-        "joint",
-        form=lambda part: part.choice("joint", "reading"),
-        direction=lambda part: part.choice(1, -1),
-        zero=_zero,
-        terms=lambda part: _terms(part, leg),
-    )
-
-
 def _coordinates(entry: Entry | None, place: str) -> tuple[Coordinate, ...]:
     """Return the coordinates that place a joint, none if it is placed by its URDF alone."""
     coordinates = []
@@ -182,7 +171,10 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
             parameters[parameter].refuse("a parameter's name is letters, digits and _")
     of_parameters = keys["terms"].pairs() if "terms" in keys else {}
     ratios = _texts(keys.get("ratios"))
-    sensors = tuple(_sensor(item, name) for item in keys["sensors"].items())
+    read: Any = {"zero": _zero, "terms": lambda part: _terms(part, name)}
+    read["form"] = lambda part: part.choice("joint", "reading")
+    read["direction"] = lambda part: part.choice(1, -1)
+    sensors = tuple(item.built(Sensor, "joint", **read) for item in keys["sensors"].items())
     ends = _ends(keys.get("ends"), points)
     path = inside(folder, keys["urdf"].text())
     joints, ends = read_leg(path, keys["tip"].text(), ends)
@@ -271,13 +263,14 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
         name: _described_terms((term for owner, term in leg.terms if owner == name), leg.name)
         for name in leg.deformed
     }
+    links = leg_links(leg)
     return {
         "name": leg.name,
         "urdf": f"{leg.name}.urdf",
-        "tip": leg_links(leg)[-1],
+        "tip": links[-1],
         "platform_point": leg.point.name,
         **({} if leg.closes == "point" else {"closes": leg.closes}),
-        **({"ends": [_described_end(end, leg) for end in leg.ends]} if leg.ends else {}),
+        **({"ends": [_described_end(end, leg, links) for end in leg.ends]} if leg.ends else {}),
         "home": leg.homes,
         "sensors": [
             _filled(vars(sensor) | {"terms": _described_terms(sensor.terms, leg.name)})
@@ -301,15 +294,13 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
     }
 
 
-def _described_end(end: End, leg: Leg) -> dict[str, Any]:
-    """Return the keys of a further end."""
-    links = leg_links(leg)
-    keys: dict[str, Any] = {"tip": links[leg.index(end.tip) + 1]}
+def _described_end(end: End, leg: Leg, links: list[str]) -> dict[str, Any]:
     if isinstance(end.meets, str):
-        keys["meets"] = links[leg.index(end.meets) + 1]
+        met = {"meets": links[leg.index(end.meets) + 1]}
     else:
-        keys["platform_point"] = end.meets.name
-    return keys | {"closes": end.closes if isinstance(end.closes, str) else list(end.closes)}
+        met = {"platform_point": end.meets.name}
+    closes = end.closes if isinstance(end.closes, str) else list(end.closes)
+    return {"tip": links[leg.index(end.tip) + 1], **met, "closes": closes}
 
 
 def _filled(keys: Mapping[str, Any]) -> dict[str, Any]:

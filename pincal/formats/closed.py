@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from os.path import commonprefix
@@ -111,21 +111,16 @@ def closed_mechanism(
         axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
         closed, placed = assembled(bare, free, tree.slack)
         remarks += _outside_limits(closed)
-        legs = tuple(_displaced(closed, placed, axes, tree.slack))
+        legs = []
+        for leg, of_joints in zip(closed, _stems(closed), strict=True):
+            stems = (*of_joints, "tip")
+            every = displaced(leg, stems, axes)
+            order = tuple(sorted(every.parameter_names, key=every.units.__getitem__))  # m first
+            distinct = independent(every, placed, order, tree.slack)
+            held = set(every.parameter_names).difference(distinct)
+            legs.append(displaced(leg, stems, axes, held=held))
         name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-        return Mechanism(name, placed, legs, f"From {tree.source}."), tuple(remarks)
-
-
-def _displaced(
-    legs: Sequence[Leg], platform: Platform, axes: Sequence[str], slack: float
-) -> Iterator[Leg]:
-    """Yield legs with those displacements as parameters that their closures can distinguish."""
-    for leg, of_joints in zip(legs, _stems(legs), strict=True):
-        stems = (*of_joints, "tip")
-        every = displaced(leg, stems, axes)
-        order = sorted(every.parameter_names, key=every.units.__getitem__)  # m before rad
-        distinct = independent(every, platform, tuple(order), slack)
-        yield displaced(leg, stems, axes, held=set(every.parameter_names).difference(distinct))
+        return Mechanism(name, placed, tuple(legs), f"From {tree.source}."), tuple(remarks)
 
 
 def _outside_limits(legs: Sequence[Leg]) -> list[str]:

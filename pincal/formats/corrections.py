@@ -16,7 +16,7 @@ from scipy.linalg import solve
 from scipy.sparse import coo_array
 
 from pincal.errors import MechanismError
-from pincal.files.columns import Columns, columns_of, reason_column
+from pincal.files.columns import Columns, columns_of, reading_columns, reason_column
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import as_plan, inverse, joints_at
 from pincal.kinematics.forward import forward
@@ -195,8 +195,7 @@ def correction_columns(
 ) -> Columns:
     """Return poses, ``correction_leg_1 [rad]``, ``command_x [m]``, reasons, as columns."""
     columns = columns_of(mechanism, lacking.plan, orientation)
-    named = zip(mechanism.reading_names, mechanism.reading_units, lacking.readings.T, strict=True)
-    columns |= {f"{CORRECTION}{name} [{unit}]": values for name, unit, values in named}
+    columns |= reading_columns(mechanism, lacking.readings, CORRECTION)
     if lacking.commands is not None:
         commands = columns_of(mechanism, Plan(lacking.commands), orientation)
         columns |= {f"{COMMAND}{header}": values for header, values in commands.items()}

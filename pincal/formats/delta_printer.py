@@ -114,7 +114,11 @@ def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
         )
     towers = np.array([_tower(LegClosure(leg, mechanism.platform)) for leg in mechanism.legs])
     points, tops, arms, gains = towers[:, :2], towers[:, 2], towers[:, 3], towers[:, 4]
-    x, y = _centre(points).tolist()
+    chords = points[1:] - points[0]
+    if abs(np.linalg.det(chords)) <= 1e-6 * float((chords**2).sum()):
+        raise MechanismError("the three towers are in line; no printer has them so")
+    half = ((points[1:] ** 2).sum(axis=1) - (points[0] ** 2).sum()) / 2
+    x, y = np.linalg.solve(chords, half).tolist()  # the centre of their circle
     around = points - (x, y)
     radius = float(np.linalg.norm(around, axis=1).mean())
     if radius >= arms.min():
@@ -180,12 +184,3 @@ def _tower(closure: LegClosure) -> Array:
         )
     top = rod.centre - closure.targets(np.eye(4)[None])[0] + vertical * law.start[0]
     return np.array([*top, rod.length, gain])
-
-
-def _centre(points: Array) -> Array:
-    """Return the centre of the circle through three points of the plane, shape (2,)."""
-    chords = points[1:] - points[0]
-    if abs(np.linalg.det(chords)) <= 1e-6 * float((chords**2).sum()):
-        raise MechanismError("the three towers are in line; no printer has them so")
-    half = ((points[1:] ** 2).sum(axis=1) - (points[0] ** 2).sum()) / 2
-    return np.asarray(np.linalg.solve(chords, half))

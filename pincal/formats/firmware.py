@@ -70,8 +70,13 @@ def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Measurements]:
         )
         radius = config.number("printer", "delta_radius")
         printed = config.number("printer", "print_radius", np.nan)
+        remarks = [
+            f"{name[:100]!r} is not read: options of the delta that are there do not count"
+            for name in config.sections()
+            if name.startswith("include ")
+        ]
         printer = _printer(radius, angles, arms, endstops, printed)
-        return replace(printer, remarks=tuple(config.remarks())), config.probing()
+        return replace(printer, remarks=tuple(remarks)), config.probing()
 
 
 def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrinter:
@@ -212,14 +217,6 @@ class _Options(configparser.RawConfigParser):
             fault = str(error).splitlines()[0]
             raise MechanismError(f"not a configuration of Klipper: {fault}") from error
 
-    def remarks(self) -> list[str]:
-        """Return what the file says and is not read, as sentences."""
-        return [
-            f"{name[:100]!r} is not read: options of the delta that are there do not count"
-            for name in self.sections()
-            if name.startswith("include ")
-        ]
-
     def text(self, section: str, option: str, default: str | None = None) -> str:
         """Return an option; one without a default must be there."""
         text: str | None = self.get(section, option, fallback=default)
@@ -228,7 +225,7 @@ class _Options(configparser.RawConfigParser):
         return text.strip()
 
     def number(self, section: str, option: str, default: float | None = None) -> float:
-        """Return an option as a number: see ``numbers``."""
+        """Return an option as a number; one without a default must be there."""
         if default is not None and not self.has_option(section, option):
             return default
         return self.numbers(section, option, 1)[0]
@@ -249,13 +246,11 @@ class _Options(configparser.RawConfigParser):
         """
         heights = self._saved("manual_height", "_pos") + self._saved("height", "_pos")
         distances = self._saved("distance", "_pos1", "_pos2")
-        every = [*heights, *distances]
+        every, count = [*heights, *distances], len(heights)
         steps = np.reshape([end for _, ends in every for end in ends], (-1, 3))
-        ways = [_MM * self._way_per_step(name) for name in _STEPPERS] if every else 1.0
-        readings, count = steps * ways, len(heights)
-        z = np.full(len(readings), np.nan)
+        readings = steps * ([_MM * self._way_per_step(name) for name in _STEPPERS] if every else 1)
+        z, apart = np.full((2, len(readings)), np.nan)
         z[:count] = [_MM * height for height, _ in heights]
-        apart = np.full(len(readings), np.nan)
         apart[count + 1 :: 2] = [_MM * distance for distance, _ in distances]
         sizes = np.abs(np.column_stack((z, apart, readings)))
         if not (np.isnan(sizes) | (sizes <= LARGEST)).all():
@@ -263,15 +258,14 @@ class _Options(configparser.RawConfigParser):
                 "a height or distance of [delta_calibrate], or its steps times their way, is no "
                 f"number up to {LARGEST:g} m"
             )
+        poses = np.column_stack((np.full((len(z), 2), np.nan), z))
+        if not distances:
+            return Measurements(poses=poses, readings=readings)
         names = tuple(str(1 + row) for row in range(len(readings)))
         led_to = (str(row) if np.isfinite(apart[row]) else "" for row in range(len(names)))
         contacts = {ROW: names, f"distance_1{TO}": tuple(led_to)}
-        return Measurements(
-            poses=np.column_stack((np.full((len(z), 2), np.nan), z)),
-            readings=readings,
-            extra={"distance_1": apart} if distances else {},
-            contacts=contacts if distances else {},
-        )
+        extra = {"distance_1": apart}
+        return Measurements(poses=poses, readings=readings, extra=extra, contacts=contacts)
 
     def _saved(self, kind: str, *ends: str) -> list[tuple[float, list[list[float]]]]:
         """Return the numbers ``kind0`` … of [delta_calibrate], and the steps at their ends."""

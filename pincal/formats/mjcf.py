@@ -27,7 +27,7 @@ from pincal.files.tree import Edge, Tree, at_home, turns, with_ranges
 from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.kinematics.assembly import assembled
 from pincal.model.checks import LARGEST
-from pincal.model.joint import Closing, End, Follows, Joint, JointKind
+from pincal.model.joint import Closing, Follows, Joint, JointKind
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import turns_in_series
@@ -269,8 +269,8 @@ def mjcf(mechanism: Mechanism) -> str:
         _drive(leg, stem, equality, actuators)
         if serial:
             carried = bodies[-1]
-            continue
-        _close(leg, mechanism.platform, bodies, carried, equality)
+        else:
+            _close(leg, mechanism.platform, bodies, carried, equality)
     carried.set("name", _PLATFORM)
     of_legs = (joint.position(leg.homes) for leg in mechanism.legs for joint in leg.articulated)
     home = numbers_text((*(joint.home for joint in freedoms), *of_legs))
@@ -305,7 +305,10 @@ def _close(
         if isinstance(end.meets, str):
             met = bodies[leg.index(end.meets)]
         else:
-            pose = _written_pose(_point(leg, end, platform))
+            x, y, z = end.meets.placement.xyz
+            if platform.space == 2:  # at the height of the tip
+                z = float(leg.link_placements(leg.home[None])[0, leg.index(end.tip), 2, 3])
+            pose = _written_pose(Placement((), (x, y, z), end.meets.placement.rpy))
         etree.SubElement(met, "site", {"name": sites["site2"], **pose})
         tag = "weld" if end.closes == "frame" or "rz" in end.closes else "connect"
         etree.SubElement(equality, tag, {"name": name, **sites})
@@ -318,15 +321,6 @@ def _freedoms(platform: Platform) -> list[Joint]:
     edges = turns(Joint(_PLATFORM, "fixed"), "", "", letters)
     rows = zip(edges, platform.twist_rows, strict=True)
     return [replace(edge.joint, home=float(home[row])) for edge, row in rows]
-
-
-def _point(leg: Leg, end: End, platform: Platform) -> Placement:
-    """Return where the platform point of an end is; in the plane at the height of the tip."""
-    placement = end.point.placement if end.point else Placement()
-    x, y, z = placement.xyz
-    if platform.space == 2:
-        z = float(leg.link_placements(leg.home[None])[0, leg.index(end.tip), 2, 3])
-    return Placement((), (x, y, z), placement.rpy)
 
 
 def _chain(
