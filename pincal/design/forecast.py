@@ -69,6 +69,25 @@ def touching(mechanism: Mechanism, plan: Plan, setup: Setup, errors: Array | flo
     return led_to_touch(observation, mechanism, plan, observation.external.start, errors)
 
 
+def _measured_names(
+    mechanism: Mechanism, measured: Sequence[str] | None, setup: Setup
+) -> tuple[str, ...]:
+    """Return names of what is measured, all that a setup says if none are given."""
+    offered = (*mechanism.platform.freedoms, *setup.columns(mechanism))
+    if measured is not None and not isinstance(measured, Iterable):
+        raise MeasurementError(
+            f"measured: expected names of {', '.join(offered)}; got {described(measured)}"
+        )
+    chosen = setup.measured(mechanism) if measured is None else measured
+    names = setup.quantities(mechanism.platform, chosen)
+    if unknown := [name for name in names if name not in offered]:
+        raise MeasurementError(
+            f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "
+            f"{', '.join(offered)}"
+        )
+    return names
+
+
 def information_rows(
     mechanism: Mechanism, legs: Legs, noise: Noise, measured: Sequence[str] | None, setup: Setup
 ) -> tuple[Array, Array, tuple[str, ...], tuple[str, ...]]:
@@ -84,17 +103,7 @@ def information_rows(
     platform, count = mechanism.platform, len(legs.poses)
     matrices, turning = platform.matrices(legs.poses), platform.freedoms[platform.lengths :]
     columns = dict.fromkeys(setup.columns(mechanism), np.zeros(count))
-    offered = (*platform.freedoms, *columns)
-    if measured is not None and not isinstance(measured, Iterable):
-        raise MeasurementError(
-            f"measured: expected names of {', '.join(offered)}; got {described(measured)}"
-        )
-    names = setup.quantities(platform, setup.measured(mechanism) if measured is None else measured)
-    if unknown := [name for name in names if name not in offered]:
-        raise MeasurementError(
-            f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "
-            f"{', '.join(offered)}"
-        )
+    names = _measured_names(mechanism, measured, setup)
     coordinates = platform.from_matrices(matrices)
     if not set(names) & set(turning):
         coordinates[:, platform.lengths :] = np.nan

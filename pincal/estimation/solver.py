@@ -16,6 +16,7 @@ problems, 1972.)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,8 +66,7 @@ class SolverResult:
     """Whether that is negligible, or rounding."""
 
 
-@dataclass(frozen=True)
-class Iterate:
+class Iterate(NamedTuple):
     """A state that the search has reached, and the step that leads on from there."""
 
     linear: Linear

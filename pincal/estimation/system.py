@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri, gammaincinv
@@ -223,8 +223,7 @@ def bent(J: Array, r: Array, root: Array) -> tuple[Array, Array]:
     return J, r / root[:, None]
 
 
-@dataclass(frozen=True)
-class NormalEquations:
+class NormalEquations(NamedTuple):
     """R δz = −c of Q R = J, columns of J of unit length; rows of the priors are among those of J.
 
     Least squares with J take up Q c of the residuals and leave r − Q c.

@@ -103,10 +103,7 @@ class ExternalUnknowns:
         free = [in_space & setup.unknown_frame, turns & setup.unknown_frame]
         free += [in_space & target.unknown for target in targets.values()]
         free += [turns & self.turned]
-        met = [(name, contact) for _, name, contact in setup.features.values()]
-        places = [contact.place(name, platform.space) for name, contact in met]
-        features, sigmas = np.reshape(places, (-1, 2, 6)).transpose(1, 0, 2)
-        self.axes = np.reshape([contact.axes for _, contact in met], (-1, 3, 3))
+        features, sigmas, self.axes = setup.feature_places(platform.space)
         """Nominal axes of features, columns, shape (n_features, 3, 3)."""
         free += [sigmas.ravel() > 0.0]
         free += [np.ones(len(devices), dtype=bool)]

@@ -32,7 +32,7 @@ from pincal.model.relations import (
     fault_of,
 )
 from pincal.option import option
-from pincal.types import Point
+from pincal.types import Array, Point
 
 STEEL = 11.5e-6
 """Thermal expansion of steel, [1/K]."""
@@ -270,6 +270,16 @@ class Setup:
         known = {column: d.point for column, d in self.distances.items() if d.point}
         points = {c: (c, c, Contact({c: point})) for c, point in known.items()}
         return {**self.touched, **points}
+
+    def feature_places(self, space: int) -> tuple[Array, Array, Array]:
+        """Return coordinates of features, their standard deviations, 0 if known, and axes.
+
+        Shapes (n, 6), (n, 6) and (n, 3, 3): see ``Contact.place``.
+        """
+        parts = [c.place(name, space) for _, name, c in self.features.values()]
+        values, sigmas = np.reshape(parts, (-1, 2, 6)).transpose(1, 0, 2)
+        axes = [contact.axes for _, _, contact in self.features.values()]
+        return values, sigmas, np.reshape(axes, (-1, 3, 3))
 
     def relations(self, space: int) -> list[Relation]:
         """Return what targets meet, distances first; in space or, 2, in the plane."""
