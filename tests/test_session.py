@@ -302,6 +302,10 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     assert "3 rows in" not in outcome.out
     assert "expected x [mm], y [mm], phi [deg], or all of x [mm], " in outcome.err
     assert "2 rows in s/rows.csv" in outcome.out
+    assert outcome.out.splitlines()[-1] == (
+        "next: pincal calibrate 3RRR s/rows.csv --noise-position 2e-05 --noise-orientation 2e-05 "
+        "--noise-reading 0 -o RESULT"
+    )
     rows = pincal.Measurements.from_csv("s/rows.csv", "3RRR")
     exact = machine.measurements.rows(np.array([2, 4]))
     np.testing.assert_allclose(rows.poses, exact.poses, atol=1e-12)

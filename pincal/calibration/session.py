@@ -98,7 +98,7 @@ class Checked:
     off: bool = False
     """Whether it is farther off than sound rows are."""
     quantity: str = ""
-    """The number without which the others fit best; empty if not even nearly."""
+    """The number whose slip would explain most of that."""
     causes: tuple[Finding, ...] = ()
     """What would explain it: units, signs, swapped columns."""
 
@@ -195,11 +195,6 @@ class Session:
         """Return the row of the plan farthest outside a measured region that is too small."""
         outside = np.where(self.candidates.fresh(self.measured), self._outside, 0.0)
         return int(outside.argmax()) if outside.max() > 1.0 else None
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether all poses of the plan were measured or skipped."""
-        return not self.candidates.fresh(self.measured).any()
 
     def limits(self, rows: Sequence[int]) -> list[float]:
         """Return the limit of the platform's error to expect after each of some rows, [m]."""
@@ -316,16 +311,8 @@ class Session:
         nearly = _NEARLY * square if np.isfinite(square) else 0.0
         fits = (chdtrc(equations, squares) >= FALSE_ALARM) | (squares <= nearly)
         likely = [tried[place] for place in np.argsort(squares) if fits[place]][:_CAUSES]
-        # a slip ν of one number moves the rows by its column of the noise's root
-        quantities = tuple(linear.problem.quantities)
-        slips = linear.white(linear.noise_root)[:, :, : len(quantities)]
-        by_slip = np.linalg.pinv(S) @ slips if np.isfinite(square) else 0.0 * slips
-        moved, size = (by_slip.mT @ r[:, :, None])[0, :, 0], (slips * by_slip)[0].sum(axis=0)
-        gains = np.nan_to_num(moved**2 / np.where(size > 0.0, size, np.inf))
-        worst = int(gains.argmax())
-        quantity = linear.problem.observation.named(quantities[worst], 0)
-        rest = square - gains[worst]
-        if not likely and equations > 1 and chdtrc(equations - 1, max(rest, 0.0)) >= FALSE_ALARM:
+        quantity, left = _slipped(r[0], S[0], linear)
+        if not likely and equations > 1 and chdtrc(equations - 1, left) >= FALSE_ALARM:
             likely = [Hypothesis("slip", lambda data: data, {"quantity": quantity})]
         names = self.mechanism.leg_names
         causes = tuple(
@@ -376,6 +363,25 @@ def _squares(r: Array, S: Array) -> Array:
     squares = np.full(len(r), np.inf)
     squares[known] = (r[known] * np.linalg.solve(S[known], r[known, :, None])[:, :, 0]).sum(axis=1)
     return squares
+
+
+def _slipped(r: Array, S: Array, linear: Linear) -> tuple[str, float]:
+    """Return the number whose slip explains most of a row, and what that leaves of its χ².
+
+    A slip of one standard deviation moves the residuals r, (k,), by its column w of the noise's
+    root: it takes (wᵀ S⁻¹ r)² / wᵀ S⁻¹ w away. Infinite where no pose belongs to the row.
+    """
+    quantities = tuple(linear.problem.quantities)
+    square = float(_squares(r[None], S[None])[0])
+    gains = np.zeros(len(quantities))
+    if np.isfinite(square):
+        w = np.nan_to_num(linear.white(linear.noise_root)[0, :, : len(quantities)])
+        weighted = np.linalg.solve(S, w)
+        sizes = (w * weighted).sum(axis=0)
+        gains = (r @ weighted) ** 2 / np.where(sizes > 0.0, sizes, np.inf)
+    worst = int(gains.argmax())
+    left = max(square - float(gains[worst]), 0.0)
+    return linear.problem.observation.named(quantities[worst], 0), left
 
 
 def _doubtful(fits: Fits) -> tuple[int, float] | None:

@@ -8,6 +8,7 @@ that: each gives one line a pose.
 from __future__ import annotations
 
 import json
+import shlex
 import socket
 import sys
 import time
@@ -127,6 +128,14 @@ def measure(
             server.close()
         opened.journal.close()
         say(f"{len(opened.journal.rows)} rows in {opened.journal.path}")
+        words = ["pincal", "calibrate", mech, str(opened.journal.path)]
+        words += ["--setup", str(options.setup_file)] * (options.setup_file is not None)
+        words += ["--unknown-frame"] * options.unknown_frame
+        words += ["--unknown-target"] * options.unknown_target
+        for name in ("position", "orientation", "reading"):
+            words += [f"--noise-{name}", f"{getattr(asked.noise, name):g}"]
+        if opened.journal.rows:
+            say(f"next: {shlex.join([*words, '-o', 'RESULT'])}")
 
 
 @contextmanager
@@ -149,11 +158,14 @@ def _remembered(folder: Path, *groups: Any) -> Iterator[Any]:
                     if (before := known.get(column.name, value)) != value:
                         warn(f"--{typed_name(column)} was {before} so far, and is now {value}")
                     known[column.name] = value
-            answered.append(replace(group, **known))
+            names = {column.name for column in fields(group)}
+            answered.append(replace(group, **{n: v for n, v in known.items() if n in names}))
         yield answered
         new = path.with_suffix(".new")
         new.write_text(json.dumps(stored, indent=1), encoding="utf-8")
         new.replace(path)
+    except FileError:
+        raise
     except (OSError, json.JSONDecodeError) as error:
         raise FileError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
 
@@ -228,7 +240,8 @@ def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Loc
             _settle(session, keep=off > 1)
             continue
         row, gain = session.next_pose()
-        if ask and not session.questioned and (session.exhausted or off >= _OFF):
+        exhausted = not session.candidates.fresh(session.measured).any()
+        if ask and not session.questioned and (exhausted or off >= _OFF):
             last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
             fail(1, f"{last}, and it is not enough")
         if session.questioned:

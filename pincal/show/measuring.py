@@ -67,7 +67,7 @@ def progress(session: Session) -> list[str]:
             f"row {row + 1} is {sigma:.1f} σ off what all others say: undo it (u {row + 1})?"
         )
     if session.enough:
-        lines.append(f"enough: {amount(accuracy or 0.0, 'm')} reached; 'pincal calibrate' next")
+        lines.append(f"enough: {amount(accuracy or 0.0, 'm')} reached")
     elif accuracy is not None and error is not None and error.limit[0] <= accuracy:
         lines.append("the next pose widens the measured region, outside of which nothing is stated")
     elif accuracy is not None:
