@@ -225,7 +225,7 @@ def test_a_fault_is_mended_where_frame_and_target_are_unknown(kind: str, wrong: 
     tried = list(remedies(Calibration(mechanism, bad, Options(noise=NOISE, setup=setup))))
     works = [remedy for remedy in tried if remedy.works]
     assert works
-    assert all(remedy.mends for remedy in works)
+    assert all({fault.code for fault in remedy.findings} - {"unknown-frame"} for remedy in works)
 
 
 @pytest.mark.slow

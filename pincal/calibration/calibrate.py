@@ -27,9 +27,14 @@ from pincal.calibration.findings import (
     points_left_out,
     values_of,
 )
-from pincal.calibration.fits import Fits, fitted, with_found_tolerance, without_false_points
+from pincal.calibration.fits import Fits, fitted, with_found_tolerance
 from pincal.calibration.hypotheses.faults import with_zeros
-from pincal.calibration.hypotheses.photos import boards_behind, check_photos, pitch_faults
+from pincal.calibration.hypotheses.photos import (
+    boards_behind,
+    check_photos,
+    pitch_faults,
+    without_false_points,
+)
 from pincal.calibration.hypotheses.plausibility import (
     check_contacts,
     check_copies,
@@ -113,7 +118,8 @@ def prepared(
         partial=asked.latent,  # all legs at once need no complete poses
         influences=columns_of_terms(asked.terms) if asked.terms else (),
     )
-    completed = replace(asked, setup=asked.setup.of_rows(data.contacts))
+    priors, setup = asked.priors_of(machine.parameters), asked.setup.of_rows(data.contacts)
+    completed = replace(asked, setup=setup, priors=priors)
     # a copy of the measurements: the user's may be changed
     return with_followed_influences(Calibration(machine, replace(data), completed))
 
@@ -286,11 +292,6 @@ class Remedy:
         if result is None or not result.converged or not result.promises:
             return False
         return all(outlier.weight == 0.0 for outlier in result.outliers)
-
-    @property
-    def mends(self) -> bool:
-        """Whether the measurements themselves were put right: options do not do it."""
-        return any(remark.code != "unknown-frame" for remark in self.findings)
 
 
 def remedies(calibration: Calibration) -> Iterator[Remedy]:

@@ -33,8 +33,7 @@ from pincal.estimation.observability.identifiable import HeldUnknowns, hold_unob
 from pincal.estimation.observability.indices import DIFFER
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.robust import robust_fit
-from pincal.estimation.solver import solve_poses
-from pincal.estimation.system import LOSSES, System, loss_of, robust_scale, suspected
+from pincal.estimation.system import System, loss_of
 from pincal.estimation.unknowns import External, State
 from pincal.model.checks import ALIKE
 from pincal.model.leg import Leg
@@ -45,7 +44,7 @@ ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _HELD_MORE = 10.0  # times better determined are directions held next if a search does not converge
 _HELD_MOST = 100.0  # times better than machines differ: those are always free
 _PATIENCE = 500  # evaluations of a search before more directions are held
-_REFITS = 5  # with noise that was estimated, or of points that do not fit
+_REFITS = 5  # with noise that was estimated
 SCALE_OFF = 5e-3  # of the scale of the noise that was estimated: fitted once more
 SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
 
@@ -309,45 +308,6 @@ def _measured(calibration: Calibration) -> Fits:
         begin = problem.evaluate(problem.start(free.start))
         fits.append(robust_fit(mechanism, system, loss_of(options.loss), begin))
     return Fits(calibration, fits)
-
-
-def without_false_points(calibration: Calibration) -> Calibration:
-    """Return a calibration without points in photos that do not fit, each judged by itself.
-
-    Its noise is as large as it is off, by a loss that forgets none (Cauchy's), in turn with fits,
-    until the same do not fit however many there are. Photos most of which do not fit are rows
-    that do not.
-    """
-    data, setup = calibration.measurements, calibration.options.setup
-    pairs = [p for device in setup.instruments for p in getattr(device, "marks", {}).values()]
-    pairs = [pair for pair in pairs if data.extra.keys() >= {*pair}]
-    judged = calibration.at_this_noise().with_options(loss="none")
-    names, near = judged.observation.names, None
-    columns = np.array([[names.index(name) for name in pair] for pair in pairs])
-    sigma = judged.observation.row_noise(data, judged.noise.noise).sigma[:, columns]
-    measured = judged.observation.measured[:, columns].all(axis=2)
-    problem = judged.started(judged.latent_problem)
-    linear, _ = solve_poses(problem.evaluate(problem.start(judged.unknowns.start)))
-    weights, false = np.ones(measured.shape), np.zeros(measured.shape, dtype=bool)
-    for _ in range(_REFITS):
-        missed = linear.noise[:, problem.leg_block.n_readings + columns] ** 2 / weights[:, :, None]
-        squares, two = missed.sum(axis=2)[measured], np.full(int(measured.sum()), 2)
-        scale = robust_scale(squares, two, 1.0)
-        squares = squares / max(scale, 1.0 if judged.noise.known else scale) ** 2
-        weights[measured], before = LOSSES["cauchy"].weights(squares, two), false.copy()
-        false[measured] = suspected(squares, two)
-        if near is not None and (false == before).all():
-            break
-        noise = (sigma / np.sqrt(weights)[:, :, None]).reshape(len(data), -1)
-        by_name = dict(zip(np.ravel(pairs).tolist(), noise.T, strict=True))
-        weighted = replace(data, sigma_extra={**data.sigma_extra, **by_name})
-        near = fitted(replace(judged, measurements=weighted), near)
-        linear = near.fits[0].last
-    false &= 2 * false.sum(axis=1, keepdims=True) <= measured.sum(axis=1, keepdims=True)
-    extra = dict(data.extra)
-    for pair, rows in zip(pairs, false.T, strict=True):
-        extra |= {name: np.where(rows, np.nan, extra[name]) for name in pair}
-    return replace(calibration, measurements=replace(data, extra=extra))
 
 
 def with_found_tolerance(calibration: Calibration) -> Calibration:

@@ -14,7 +14,7 @@ import numpy as np
 from pincal import MeasurementError, Measurements, Mechanism, Noise, Options, Setup, load_mechanism
 from pincal.calibration.calibrate import Remedy, explained, prepared, remedies, run
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.options import AUTO, FOLDS, By
+from pincal.calibration.options import AUTO, By
 from pincal.calibration.result_files import REPORT, RESULT_FILES
 from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
 from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option, typed_name
@@ -66,12 +66,10 @@ class InputOptions(SetupOptions):
 
     def calibration(self, mech: str, path: Path, options: Options) -> Calibration:
         """Return the calibration to be done, by measurements in a file."""
-        mechanism = load_mechanism(mech)
-        priors = options.priors_of(mechanism.parameters)
-        folds = options.folds or FOLDS  # of a choice of terms, also without held-out validation
-        options = replace(options, setup=self.read_setup(), priors=priors, folds=folds)
-        calibration = prepared(mechanism, self.table(path), options)
-        noise = self.noise_of(mechanism, calibration.measurements, options.setup)
+        options = replace(options, setup=self.read_setup())
+        calibration = prepared(mech, self.table(path), options)
+        data = calibration.measurements
+        noise = self.noise_of(calibration.mechanism, data, options.setup)
         return replace(calibration, options=replace(calibration.options, noise=noise))
 
     def noise_of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
@@ -288,7 +286,7 @@ def _say_cure(
     cure: Remedy, known: InputOptions, measurements: Path, output: Path | None, *, force: bool
 ) -> None:
     lines, corrected = list[str](), None
-    if cure.mends:
+    if any(fault.code != "unknown-frame" for fault in cure.findings):  # options do not do it
         corrected = (measurements, output or Path("CORRECTED.csv"))
         if output is None:
             lines.append(f"{typed()} -o CORRECTED.csv")

@@ -2,7 +2,7 @@
 
 Each puts pixels or boards right and places cameras and boards anew, as a search begins; of what the
 nominal machine then misses, the median is judged. The hypothesis that leaves least explains photos
-if that is half at most of what they miss as they are.
+if that is half at most of what they miss as they are. Single points are judged by fits.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.fits import fitted
 from pincal.errors import MisfitError, PincalError
+from pincal.estimation.solver import solve_poses
+from pincal.estimation.system import LOSSES, robust_scale, suspected
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.instruments.camera import Camera, Markers
@@ -29,6 +32,7 @@ _SHIFTS = (1, -1, 2, -2)
 _FEWEST = 4  # photos that place a camera
 _UNSURE = 0.2  # of the pitch of a board, relative, if it may be any
 _FAR = 5e-3  # of the machine's size: by so much no machine as drawn misses points
+_ROUNDS = 5  # of points that do not fit, in turn with fits
 _PITCH = 5e-3  # by which a pitch is off that is not as said
 
 Judged = tuple[float, str, dict[str, Any], tuple[int, ...]]
@@ -187,3 +191,42 @@ def _with_boards(calibration: Calibration, boards: dict[str, Markers]) -> Calibr
         for d in setup.instruments
     )
     return calibration.with_options(setup=replace(setup, instruments=devices))
+
+
+def without_false_points(calibration: Calibration) -> Calibration:
+    """Return a calibration without points in photos that do not fit, each judged by itself.
+
+    Its noise is as large as it is off, by a loss that forgets none (Cauchy's), in turn with fits,
+    until the same do not fit however many there are. Photos most of which do not fit are rows
+    that do not.
+    """
+    data, setup = calibration.measurements, calibration.options.setup
+    pairs = [p for device in setup.instruments for p in getattr(device, "marks", {}).values()]
+    pairs = [pair for pair in pairs if data.extra.keys() >= {*pair}]
+    judged = calibration.at_this_noise().with_options(loss="none")
+    names, near = judged.observation.names, None
+    columns = np.array([[names.index(name) for name in pair] for pair in pairs])
+    sigma = judged.observation.row_noise(data, judged.noise.noise).sigma[:, columns]
+    measured = judged.observation.measured[:, columns].all(axis=2)
+    problem = judged.started(judged.latent_problem)
+    linear, _ = solve_poses(problem.evaluate(problem.start(judged.unknowns.start)))
+    weights, false = np.ones(measured.shape), np.zeros(measured.shape, dtype=bool)
+    for _ in range(_ROUNDS):
+        missed = linear.noise[:, problem.leg_block.n_readings + columns] ** 2 / weights[:, :, None]
+        squares, two = missed.sum(axis=2)[measured], np.full(int(measured.sum()), 2)
+        scale = robust_scale(squares, two, 1.0)
+        squares = squares / max(scale, 1.0 if judged.noise.known else scale) ** 2
+        weights[measured], before = LOSSES["cauchy"].weights(squares, two), false.copy()
+        false[measured] = suspected(squares, two)
+        if near is not None and (false == before).all():
+            break
+        noise = (sigma / np.sqrt(weights)[:, :, None]).reshape(len(data), -1)
+        by_name = dict(zip(np.ravel(pairs).tolist(), noise.T, strict=True))
+        weighted = replace(data, sigma_extra={**data.sigma_extra, **by_name})
+        near = fitted(replace(judged, measurements=weighted), near)
+        linear = near.fits[0].last
+    false &= 2 * false.sum(axis=1, keepdims=True) <= measured.sum(axis=1, keepdims=True)
+    extra = dict(data.extra)
+    for pair, rows in zip(pairs, false.T, strict=True):
+        extra |= {name: np.where(rows, np.nan, extra[name]) for name in pair}
+    return replace(calibration, measurements=replace(data, extra=extra))

@@ -8,7 +8,7 @@ as the best cannot be separated from it; all of them are named. If none does, no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from operator import attrgetter
@@ -61,7 +61,7 @@ _TIMES = 3  # then over a cell of the last
 def implausible(calibration: Calibration) -> tuple[Finding, ...]:
     """Return why a mechanism like the nominal one cannot have made measurements, by full poses."""
     case = case_of(calibration)
-    return () if case is None or not case.oriented else _faults(case, _strange)
+    return () if case is None or not case.oriented else _faults(case) or _strange(case)
 
 
 def explain_misfit(calibration: Calibration, frame: External | None = None) -> tuple[Finding, ...]:
@@ -71,11 +71,9 @@ def explain_misfit(calibration: Calibration, frame: External | None = None) -> t
     """
     if calibration.options.setup.pixels and (faults := photo_faults(calibration)):
         return faults
-    case = case_of(calibration, frame)
-    explaining = () if case is None else _faults(case, _slips)
-    if calibration.start is None:
-        return explaining
-    return tuple(fault for fault in explaining if fault.code != "reading-offset")
+    case, started = case_of(calibration, frame), calibration.start is not None
+    explaining = () if case is None else _faults(case) or _slips(case)
+    return tuple(f for f in explaining if not (started and f.code == "reading-offset"))
 
 
 def hypotheses_of(calibration: Calibration) -> list[tuple[Finding, Judged]]:
@@ -86,14 +84,9 @@ def hypotheses_of(calibration: Calibration) -> list[tuple[Finding, Judged]]:
     return list(zip(as_findings(case, explaining), explaining, strict=True))
 
 
-def _faults(
-    case: Case, unexplained: Callable[[Case, Judged], tuple[Finding, ...]]
-) -> tuple[Finding, ...]:
-    """Return what is wrong: readings that stand still, what explains the misfit, or the rest."""
-    as_measured = judge_as_measured(case)
-    if faults := _still(case, as_measured):
-        return faults
-    return as_findings(case, explanations(case)) or unexplained(case, as_measured)
+def _faults(case: Case) -> tuple[Finding, ...]:
+    """Return what is wrong: readings that stand still, or what explains the misfit."""
+    return _still(case) or as_findings(case, explanations(case))
 
 
 @lru_cache(maxsize=4)
@@ -102,10 +95,10 @@ def explanations(case: Case) -> list[Judged]:
     as_measured = judge_as_measured(case)
     if as_measured.fits_well:
         return []
-    slips = _slips(case, as_measured)  # few rows may be all that is wrong
+    slips = _slips(case)  # few rows may be all that is wrong
     if slips and judge(replace(case, rows=np.setdiff1d(case.rows, slips[0].rows)))[0].fits_well:
         return []
-    for stage in _stages(case, as_measured):
+    for stage in _stages(case):
         explaining = [judged for judged in stage if _explains(judged, as_measured)]
         if explaining:
             best = max(PRECISE, min(map(attrgetter("misfit"), explaining)))
@@ -116,8 +109,9 @@ def explanations(case: Case) -> list[Judged]:
     return []
 
 
-def _stages(case: Case, as_measured: Judged) -> Iterator[list[Judged]]:
+def _stages(case: Case) -> Iterator[list[Judged]]:
     """Yield hypotheses with their fits, the simplest first; a base nearly in place is none."""
+    as_measured = judge_as_measured(case)
     every, framed = list(faults(case)), case.few(_ROWS_FRAMED)
     setup = case.calibration.options.setup.anywhere(frame=True)
     framed = replace(framed, calibration=case.calibration.with_options(setup=setup))
@@ -227,8 +221,9 @@ def as_findings(case: Case, explaining: Sequence[Judged]) -> tuple[Finding, ...]
     return tuple(findings)
 
 
-def _strange(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
+def _strange(case: Case) -> tuple[Finding, ...]:
     """Return what bars a fit though no hypothesis explains it."""
+    as_measured = judge_as_measured(case)
     legs = [(i, case.mechanism.legs[i]) for i in as_measured.judged]
     if not legs:
         return ()
@@ -253,9 +248,9 @@ def _strange(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     return ()
 
 
-def _still(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
+def _still(case: Case) -> tuple[Finding, ...]:
     """Return which readings are the same in all rows though the poses move their sensors."""
-    mechanism, readings = case.mechanism, case.readings
+    mechanism, readings, as_measured = case.mechanism, case.readings, judge_as_measured(case)
     still = np.ptp(readings, axis=0) == 0.0
     if as_measured.free or not still.any() or as_measured.nominal_readings is None:
         return ()
@@ -292,8 +287,9 @@ def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     return ()
 
 
-def _slips(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
+def _slips(case: Case) -> tuple[Finding, ...]:
     """Return which few rows, with full poses, miss machines near nominal far more than others."""
+    as_measured = judge_as_measured(case)
     if not case.oriented or not as_measured.judged:
         return ()
     left = np.array([as_measured.left(leg) for leg in as_measured.judged])

@@ -48,15 +48,13 @@ class Model:
     chance: float = 1.0
     """Probability by chance of the last term when it was added, the number of tests taken in."""
     held_out: float = np.nan
-    """Root mean square of white residuals of held-out rows, [σ of the noise]; NaN where no fold
-    can be identified."""
+    """Root mean square of white residuals of held-out rows, [σ]; NaN if no fold is identified."""
     spread: float = 0.0
     """Standard error of how much larger that is than the best model's, poses as clusters, [σ]."""
     position: float = np.nan
-    """Root mean square by which positions of targets are missed at held-out rows, [m]; NaN where
-    none were measured."""
+    """Root mean square by which targets are missed at held-out rows, [m]; NaN if not measured."""
     orientation: float = np.nan
-    """Root mean square by which the measured orientation is missed there, [rad]."""
+    """The same of the measured orientation, [rad]."""
 
     @property
     def parameters(self) -> int:
@@ -67,10 +65,7 @@ class Model:
         )
 
     def errors(self, held: Calibration) -> Array:
-        """Return squared white residuals at held-out rows, how many they are, and mean squares.
-
-        These are of what targets are missed by, [m²] and [rad²]; shape (N, 4).
-        """
+        """Return squares and numbers of white residuals at held-out rows, and of misses, (N, 4)."""
         held = replace(held, mechanism=self.fits.calibration.mechanism)
         errors = np.tile([0.0, 0.0, np.nan, np.nan], (len(held.measurements), 1))
         misses = misses_of(held, self.fits.parameters, self.fits.external)
@@ -109,8 +104,7 @@ class Explanation:
     slips: Sequence[Slip]
     """What slipped or drifted, unless a term explains it better; rows those of the measurements."""
     lost: Sequence[tuple[int, str]]
-    """Folds, from 0, without whose rows the geometry is not identified, and why: they are left out
-    of the comparison."""
+    """Folds, from 0, that are not compared: without their rows geometry is not identified; why."""
 
     @property
     def model(self) -> Model:
@@ -119,10 +113,7 @@ class Explanation:
 
     @property
     def verdict(self) -> str:
-        """Which model to take: ``"as drawn"``, ``"rigid alignment"``, ``"geometry"``, ``"terms"``.
-
-        ``"not compared"`` where no fold can be identified.
-        """
+        """The model's name, or ``"terms"``; ``"not compared"`` where no fold can be identified."""
         if np.isnan(self.model.held_out):
             return "not compared"
         return "terms" if self.chosen > 1 else self.model.name

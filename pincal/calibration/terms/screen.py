@@ -41,8 +41,8 @@ class Candidate(Amplitudes):
     """One kind of term in one place, and what residuals say of it, once they were asked."""
 
     reading: str
-    """The place: a reading, a length or angle by its id, or ``"growth"`` of all lengths;
-    ``"readings"``, or a name, of all such, each with its own amplitudes."""
+    """The place: a reading, an id, ``"growth"`` of all lengths; ``"readings"``, or a name, of all
+    such, each with its own amplitudes."""
     kind: Kind
     unit: str
     """Of the amplitudes."""
@@ -53,8 +53,7 @@ class Candidate(Amplitudes):
     corrected: float = 1.0
     """Its probability by chance with the number of tests taken in (Holm 1979)."""
     or_else: tuple[Pair, ...] = ()
-    """What else it may be: places and kinds that these rows cannot separate from it. Said of the
-    first, and of those that are improbable by chance."""
+    """Places and kinds that these rows cannot separate from it, if it is improbable by chance."""
     spread: float = 0.0
     """Standard error of its period, [m] or [rad], if that was searched for."""
     searched: float = 0.0
