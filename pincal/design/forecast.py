@@ -117,15 +117,15 @@ def information_rows(
     predicted = {name: value[:, observation.names.index(name)] for name in columns}
     planned = replace(data, extra=predicted)  # less what was measured: zero
     scatter = observation.row_noise(planned, noise)
-    seen = np.concatenate((*slopes, observation.systematic(matrices, start)), axis=2)[:, chosen]
+    by_all = np.concatenate((*slopes, observation.systematic(matrices, start)), axis=2)[:, chosen]
     single = scatter.correlation is None and (scatter.sigma[:, chosen] > 0.0).all()
-    if single and len(chosen) > seen.shape[2]:  # a photograph says no more than R: seen / σ = Q R
-        seen = np.asarray(np.linalg.qr(seen / scatter.sigma[:, chosen, None], mode="r"))
-        roots = np.broadcast_to(np.eye(seen.shape[2]), (count, *seen.shape[2:] * 2))
+    if single and len(chosen) > by_all.shape[2]:  # a photograph says no more than R: seen / σ = Q R
+        by_all = np.asarray(np.linalg.qr(by_all / scatter.sigma[:, chosen, None], mode="r"))
+        roots = np.broadcast_to(np.eye(by_all.shape[2]), (count, *by_all.shape[2:] * 2))
     else:
         roots = scatter.roots[:, chosen]
     places = np.cumsum([part.shape[2] for part in slopes])
-    by_pose, by_external, systematic = np.split(seen, places, axis=2)
+    by_pose, by_external, systematic = np.split(by_all, places, axis=2)
     # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
     # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
     pose = np.concatenate((legs.pose, by_pose), axis=1)

@@ -197,16 +197,16 @@ def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
         return None
     moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ linear.by_measured  # least squares of legs
     if unit == "px":
-        seen = active[:, shown[unit]]
+        rows_seen = active[:, shown[unit]]
         moved = linear.by_pose[:, n_legs:][:, shown[unit]] @ moved
-        squares = np.median((moved**2).sum(axis=2)[seen])
+        squares = np.median((moved**2).sum(axis=2)[rows_seen])
     else:
         moving = np.array(problem.platform.units) == unit
         squares = np.median((moved**2).sum(axis=2), axis=0)[moving]
     lever = float(np.sqrt(np.mean(squares))) if np.size(squares) else 0.0
     group = {"m": 0, "rad": 1, "px": 3}[unit]
-    most = (1.0 + _TIED) * _SENSOR if lacks else _SENSORS_ONLY
-    far = lever * noise.reading > most * (*vars(noise).values(),)[group]
+    largest_ratio = (1.0 + _TIED) * _SENSOR if lacks else _SENSORS_ONLY
+    far = lever * noise.reading > largest_ratio * (*vars(noise).values(),)[group]
     return (group, _SENSOR / lever) if far else None
 
 

@@ -95,22 +95,22 @@ def _outside_started(problem: Problem, state: State) -> State:
     columns = [name for device in observation.setup.instruments for name in device.columns]
     columns += chain(*contacts.values())
     dependent = {*columns, *observation.setup.between}  # what is where contacts touch
-    others = observation.only([name for name in observation.names if name not in dependent])
-    without = replace(problem, observation=others)
+    independent = observation.only([name for name in observation.names if name not in dependent])
+    without = replace(problem, observation=independent)
     if not columns or (without.equations < 0).any():
         return state
-    at_rest, seen = poses_at_rest(without.evaluate(state)), observation.only(columns)
+    at_rest, dependent_rows = poses_at_rest(without.evaluate(state)), observation.only(columns)
     matrices = at_rest.state.matrices
     external = outside.begun(external, matrices, observation.conditions)
-    external = at_touch(seen, matrices, external)
-    by_others = others.residuals(matrices, external)[2]
-    _, by_pose, by_these = seen.residuals(matrices, external)
+    external = at_touch(dependent_rows, matrices, external)
+    by_others = independent.residuals(matrices, external)[2]
+    _, by_pose, by_these = dependent_rows.residuals(matrices, external)
     theirs = by_these.any(axis=(0, 1)) & ~by_others.any(axis=(0, 1)) & (outside.free >= 6)
     by_free = np.eye(len(outside))[:, theirs]
     if not theirs.any():
         return state
 
-    arms, usual = _arms(problem, seen.units, by_pose), _CLOSES * problem.size
+    arms, usual = _arms(problem, dependent_rows.units, by_pose), _CLOSES * problem.size
     roughly = np.flatnonzero(theirs & np.isfinite(outside.priors))
     by_prior = usual / outside.priors[roughly, None] * by_free[roughly]
     nominal = outside.coordinates(outside.start)[roughly]
@@ -118,19 +118,19 @@ def _outside_started(problem: Problem, state: State) -> State:
     def missed(values: Array) -> Array:
         moved = outside.moved(external, by_free @ values)
         far = (outside.coordinates(moved)[roughly] - nominal) / outside.priors[roughly]
-        return np.append(arms * seen.residuals(matrices, moved)[0], usual * far)
+        return np.append(arms * dependent_rows.residuals(matrices, moved)[0], usual * far)
 
     def slopes(values: Array) -> Array:
-        rows = seen.residuals(matrices, outside.moved(external, by_free @ values))[2]
+        rows = dependent_rows.residuals(matrices, outside.moved(external, by_free @ values))[2]
         J = (arms[:, None] * rows[:, :, theirs]).reshape(-1, by_free.shape[1])
         return np.concatenate((J, by_prior))
 
     values = np.zeros(by_free.shape[1])
     if not np.isfinite(missed(values)).all():  # behind a camera
         return state
-    how = {"x_scale": "jac", "f_scale": usual, "max_nfev": _MOST}
-    for loss in ("linear", "soft_l1") if contacts or seen.setup.pixels else ("linear",):
-        values = least_squares(missed, values, slopes, loss=loss, **how).x
+    settings = {"x_scale": "jac", "f_scale": usual, "max_nfev": _MOST}
+    for loss in ("linear", "soft_l1") if contacts or dependent_rows.setup.pixels else ("linear",):
+        values = least_squares(missed, values, slopes, loss=loss, **settings).x
     return replace(state, external=outside.moved(external, by_free @ values))
 
 

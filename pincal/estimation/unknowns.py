@@ -312,8 +312,8 @@ def unknowns(
     for column, places in enumerate(groups):
         T[places, column] = 1.0
     free_labels = [
-        ids[first] + (f" (tied to {len(others)} more)" if others else "")
-        for first, *others in groups
+        ids[first] + (f" (tied to {len(further)} more)" if further else "")
+        for first, *further in groups
     ]
     return Unknowns(tuple(ids), start, T, sigmas, nominal, tuple(free_labels))
 

@@ -101,8 +101,8 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
         if chance < FALSE_ALARM:
             share = residuals.amplitudes(course).inside / residuals.chi2
             if term == "order":
-                alike = of_kind[kinds[quantity]] if quantity in errors else course
-                correlation = residuals.alike_after(course, alike)
+                peers = of_kind[kinds[quantity]] if quantity in errors else course
+                correlation = residuals.alike_after(course, peers)
         results.append(Score(quantity, term, chance, share, correlation=correlation))
     for name, error in errors.items():
         row, after, step = residuals.step(error)

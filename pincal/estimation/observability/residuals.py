@@ -71,8 +71,8 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     else:
         if problem.latent:
             B = linear.by_pose[:, block.n_rows :]
-            whole = problem.observation.measured.sum(axis=1) >= problem.platform.dof
-            by_measured = np.where(whole[:, None, None], np.linalg.pinv(B, rcond=1e-9), 0.0)
+            complete = problem.observation.measured.sum(axis=1) >= problem.platform.dof
+            by_measured = np.where(complete[:, None, None], np.linalg.pinv(B, rcond=1e-9), 0.0)
             follows[:, :, block.n_rows :] = -linear.by_pose[:, rows] @ by_measured  # to that pose
         sigma = np.linalg.norm(follows @ linear.noise_root, axis=2)
     units = " or ".join(dict.fromkeys(problem.legs[index].reading_units))
