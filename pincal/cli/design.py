@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -15,7 +15,6 @@ from pincal import (
     FileError,
     Margins,
     MeasurementError,
-    Measurements,
     Mechanism,
     Noise,
     Plan,
@@ -52,7 +51,6 @@ from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show import explanation, tables
 from pincal.words.numbers import amount, reading_in
-from pincal.words.units import Units
 
 _FORECAST = 50  # poses, where no plan is given
 
@@ -67,11 +65,6 @@ class SelectOptions(PlanOptions, PlanningOptions):
         metavar="SHEET.xlsx",
     )
     force: bool = option(False, FORCE)
-
-    @property
-    def planning(self) -> dict[str, Any]:
-        """What ``pincal.select`` takes of them."""
-        return {field.name: getattr(self, field.name) for field in fields(PlanningOptions)}
 
 
 @command
@@ -115,7 +108,7 @@ def select(
             noise=noise,
             margins=None if margins == Margins() else margins,
             progress=progress,
-            **options.planning,
+            **{field.name: getattr(options, field.name) for field in fields(PlanningOptions)},
         )
     plan = selection.plan
     columns: Columns = {"row": tuple(str(1 + row) for row in range(len(plan)))}
@@ -287,22 +280,16 @@ def simulate(
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
     with writing_together(outputs, force=force) as scratch:
         folders, files = scratch[: -len(tables)], scratch[-len(tables) :]
-        _write_simulated(mechanism, setup, simulation.measurements, files, units)
+        data = simulation.measurements
+        if setup.corners is not None:
+            write_table(files[1], corners_of(setup, data))
+            extra = {name: x for name, x in data.extra.items() if name not in setup.pixels}
+            data = replace(data, extra=extra)
+        write_table(files[0], columns_of(mechanism, data), units=units)
         for folder in folders:
             write_mechanism(true_mechanism, folder)
     _say_unreached(planned, simulation)
     wrote(*dict(outputs))
-
-
-def _write_simulated(
-    mechanism: Mechanism, setup: Setup, data: Measurements, paths: Sequence[Path], units: Units
-) -> None:
-    """Write the table of measurements, and that of corners behind it if the setup names one."""
-    if setup.corners is not None:
-        write_table(paths[1], corners_of(setup, data))
-        others = {name: values for name, values in data.extra.items() if name not in setup.pixels}
-        data = replace(data, extra=others)
-    write_table(paths[0], columns_of(mechanism, data), units=units)
 
 
 def _say_unreached(planned: Plan, simulation: Simulation) -> None:

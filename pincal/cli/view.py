@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import webbrowser
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -22,7 +23,6 @@ from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import is_folder
 from pincal.files.output import refuse_existing
 from pincal.files.table import read_table
-from pincal.model.checks import listed
 from pincal.option import option
 from pincal.show.charts import Plots
 from pincal.show.style import PAGE_WIDTH, drawing, picture_path, save_figure
@@ -75,13 +75,11 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
     Raises:
         MeasurementError: no row holds one.
     """
-    plan: Plan
-    if mechanism.by_readings or not set(mechanism.reading_names) <= set(read_table(table).units):
-        plan = read_poses(table, mechanism, partial=True)
-    else:
-        plan = read_measurements(table, mechanism, partial=True)
-    if mechanism.by_readings and plan.readings is not None:
-        # they say where the mechanism is, in its own base frame
+    has_readings = set(mechanism.reading_names) <= set(read_table(table).units)
+    measured = has_readings and not mechanism.by_readings
+    read: Callable[..., Plan] = read_measurements if measured else read_poses
+    plan = read(table, mechanism, partial=True)
+    if mechanism.by_readings and plan.readings is not None:  # they say where the mechanism is
         solution = pincal.forward(mechanism, plan.readings)
         if not solution.converged.any():
             raise MeasurementError(
@@ -91,10 +89,9 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
     complete: Mask = np.isfinite(plan.poses).all(axis=1).astype(bool)
     if not complete.all():
         advice = "pincal calibrate estimates them: show its RESULT in place of the measurements"
-        first, names = int(np.argmin(complete)), np.array(mechanism.platform.coordinates)
         missing = (
             f"{table}: {np.sum(~complete)} of {len(complete)} rows hold no whole pose, the first "
-            f"is in {plan.place(first)}, without {listed(names[np.isnan(plan.poses[first])])}"
+            f"is in {plan.place(int(np.argmin(complete)))}"
         )
         if not complete.any():
             raise MeasurementError(f"{missing}. {advice}")
@@ -118,11 +115,11 @@ class PageOptions:
 def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify = None) -> None:
     """Show a mechanism in the browser.
 
-    The slider and the arrow keys step through the poses, the space bar plays. Without POSES.csv
-    these are home and samples of the workspace. With RESULT (alone, too) they are the measured
-    ones, and the calibrated machine is shown where it goes when the nominal model drives it, errors
-    magnified; arrows lead from measured to predicted points. The page is served to this machine
-    alone, until Ctrl-C.
+    The slider and the arrow keys step through the poses. Without POSES.csv these are home and
+    samples of the workspace. With RESULT (alone, too) they are the measured ones, and the
+    calibrated machine is shown where it goes when the nominal model drives it, errors magnified;
+    arrows lead from measured to predicted points. The page is served to this machine alone, until
+    Ctrl-C.
     """
     if options.html is not None and options.html.suffix.lower() not in (".html", ".htm"):
         raise FileError(f"{options.html} would be a page; give it the ending .html")

@@ -157,19 +157,11 @@
     find("set").hidden = true;
   }
 
-  let timer = 0;
-
-  function play(on) {
-    clearInterval(timer);
-    timer = on ? setInterval(() => show((pose + 1) % poses), 600) : 0;
-    find("play").textContent = on ? "pause" : "play";
-  }
-
   const [{ matrices, paths }] = data.bodies;
   const platform = paths.indexOf(PLATFORM);
   const places = data.set.map((_, index) => turned(matrices.subarray(12 * (index * paths.length + platform) + 9)));
-  Dots({ data, pane, node, element, places, about, pixels, move, show: (index) => [play(false), show(index)] });
-  const jog = window.Jog ? Jog({ data, viewer, element, doubles, halt: () => play(false), draw: moved, reset: () => show(pose) }) : null;
+  Dots({ data, pane, node, element, places, about, pixels, move, show });
+  const jog = window.Jog ? Jog({ data, viewer, element, doubles, draw: moved, reset: () => show(pose) }) : null;
 
   function checkbox(parent, name, shown, change, colour) {
     const label = element("label", "", parent);
@@ -243,17 +235,14 @@
 
   const steps = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, Home: -poses, End: poses };
   document.addEventListener("keydown", (event) => {
-    const typing = event.key === " " && ["BUTTON", "INPUT"].includes(event.target.tagName) && event.target.id !== "slider";
     const own = event.target.matches("select, input[type=range]:not(#slider)"); // these have keys of their own
-    const ours = event.key === " " || event.key in steps;
-    if (!ours || typing || own || event.ctrlKey || event.altKey || event.metaKey) return;
+    if (!(event.key in steps) || own || event.ctrlKey || event.altKey || event.metaKey) return;
     event.preventDefault();
-    if (event.key === " ") play(!timer);
-    else show(pose + steps[event.key]);
+    show(pose + steps[event.key]);
   });
   find("slider").max = poses;
   find("slider").addEventListener("input", (event) => show(event.target.valueAsNumber - 1));
-  const buttons = { back: () => show(pose - 1), forth: () => show(pose + 1), play: () => play(!timer), fit };
+  const buttons = { back: () => show(pose - 1), forth: () => show(pose + 1), fit };
   for (const [id, act] of Object.entries(buttons)) find(id).addEventListener("click", act);
   fit();
   show(0);
