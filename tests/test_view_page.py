@@ -160,7 +160,7 @@ def test_all_is_on_the_screen(name: str, opened: Any, tmp_path: Path) -> None:
     points = view.scene.body.placements[:, :, :3, 3].reshape(-1, 3)
     on_screen = np.array(window.page.evaluate(_ON_SCREEN, points.tolist()))
     assert np.abs(on_screen).max() < 0.98
-    if view.scene.planar:  # seen from above: x to the right, y up
+    if view.scene.mechanism.platform.space == 2:  # seen from above: x to the right, y up
         shift = np.array(window.page.evaluate(_ON_SCREEN, [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]))
         assert shift[1, 0] > shift[0, 0]
         assert shift[2, 1] > shift[0, 1]

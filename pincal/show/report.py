@@ -180,14 +180,15 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
     )
     if errors is None:
         return [measured, reproduction]
-    cameras = tables.cameras_table(result)
+    cameras, leg = tables.cameras_table(result), result.legs[0].name
+    drawn = picture(result.nominal, dimensions=leg).draw
     return [
         measured,
         (
             "parameters",
             "Parameters",
             tables.parameters_table(result),
-            _dimensions(result),
+            page_figure("dimensions", drawn, f"Where parameters of {leg} are, and nominal values."),
             tables.outside_table(result) if result.external else None,
             [f"{line}." for line in answers.weak_lines(result.weak, result.nominal)],
         ),
@@ -229,14 +230,6 @@ def _poses(result: CalibrationResult) -> Markup | None:
     plan = Plan(poses, data.sets, data.readings).rows(rows[:: -(-len(rows) // MOST_POSES)])
     caption = f"The {len(rows)} measured poses of the platform, and the mechanism at the first."
     return page_figure("poses", picture(result.nominal, plan).draw, caption)
-
-
-def _dimensions(result: CalibrationResult) -> Markup:
-    leg = result.legs[0].name
-    kinds = {tuple(p.name for p in each.parameters) for each in result.legs}
-    alike_legs = ", those of the others alike" if len(kinds) < len(result.legs) else ""
-    caption = f"Where the parameters of {leg} are{alike_legs}, and their nominal values."
-    return page_figure("dimensions", picture(result.nominal, dimensions=leg).draw, caption)
 
 
 def _measured(result: CalibrationResult) -> dict[str, str]:

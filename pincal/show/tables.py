@@ -303,17 +303,15 @@ def cameras_table(result: CalibrationResult) -> Table | None:
     rows = list[list[Value]]()
     for camera, points, _, missed, _, metres in camera_misses(result):
         sizes = np.linalg.norm(missed, axis=1)
-        each = {name: sizes[points == name] for name in dict.fromkeys(points.tolist())}
-        worst = sorted(each, key=lambda name: -np.square(each[name]).mean())[:NAMED]
-        for name in ("all", *worst):
-            of_point = points == name if name in each else np.full(len(points), fill_value=True)
-            pixels, lengths = sizes[of_point], (sizes * metres)[of_point]
+        each = {name: np.flatnonzero(points == name) for name in dict.fromkeys(points.tolist())}
+        worst = sorted(each.items(), key=lambda of_point: -np.square(sizes[of_point[1]]).mean())
+        for name, places in [("all", np.arange(len(points))), *worst[:NAMED]]:
             cells = [
                 Cell(size, number(size, unit))
-                for part, unit in ((pixels, "px"), (lengths, "m"))
+                for part, unit in ((sizes[places], "px"), ((sizes * metres)[places], "m"))
                 for size in (float(np.sqrt((part**2).mean())), float(np.median(part)))
             ]
-            rows.append([camera.name, name, len(pixels), *cells])
+            rows.append([camera.name, name, len(places), *cells])
     heads = [f"{kind} [{SMALL[unit]}]" for unit in ("px", "m") for kind in ("RMS", "median")]
     if not rows:
         return None

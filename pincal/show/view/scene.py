@@ -81,14 +81,9 @@ class Scene:
         return tuple(words.get(name, name) for name in self.plan.sets)
 
     @property
-    def planar(self) -> bool:
-        """Whether all moves in the x-y plane."""
-        return self.mechanism.platform.space == 2
-
-    @property
     def axes(self) -> Array:
         """What points right, up and towards the viewer, shape (3, 3), rows in the base frame."""
-        if self.planar:
+        if self.mechanism.platform.space == 2:
             return np.eye(3)
         towards = _TOWARDS_VIEWER / np.linalg.norm(_TOWARDS_VIEWER)
         right = np.cross([0.0, 0.0, 1.0], towards)
@@ -130,7 +125,7 @@ class Scene:
     def level(self) -> float:
         """Height of the ground, [m]: the base's, unless most of a mechanism hangs below."""
         low, high = self.bounds()[:, 2]
-        return float(low) if not self.planar and low + high < 0.0 else 0.0
+        return float(low) if self.mechanism.platform.space == 3 and low + high < 0.0 else 0.0
 
     def ground(self) -> Layer:
         """Return lines on the ground under all that is drawn, at steps of 1, 2 or 5 decades."""
