@@ -49,8 +49,7 @@ from .show.view.view import view
 from .symmetry.carry import generate
 from .symmetry.detect import symmetry_group
 from .symmetry.elements import Element, cyclic, dihedral
-from .workspace.axes import Orientations
-from .workspace.criteria import Margins
+from .workspace.criteria import Margins, Orientations
 from .workspace.grid import Grid
 from .workspace.region import Workspace, compute_workspace
 from .workspace.sampling import sample_configurations, sample_contacts, sample_workspace

@@ -17,8 +17,7 @@ import pincal
 from pincal import compute_workspace
 from pincal.show.charts import workspace_figure
 from pincal.show.tables import outside_table, parameters_table
-from pincal.workspace.axes import Axis
-from pincal.workspace.grid import default_grid
+from pincal.workspace.grid import Axis, default_grid
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
 

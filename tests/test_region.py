@@ -16,9 +16,8 @@ import pincal
 from pincal.kinematics.closing import close_legs
 from pincal.kinematics.closure import nominal_legs
 from pincal.types import Array, Mask
-from pincal.workspace.axes import Axis
 from pincal.workspace.criteria import Criteria, in_workspace
-from pincal.workspace.grid import default_grid
+from pincal.workspace.grid import Axis, default_grid
 from studies.inscribed import largest_circle
 
 NONE = pincal.Margins.none()

@@ -39,5 +39,5 @@ pincal.show.picture.Picture
 pincal.show.view.view.View
 pincal.symmetry.detect.SymmetryGroup
 pincal.words.table.Table
-pincal.workspace.axes.Axis
+pincal.workspace.grid.Axis
 """

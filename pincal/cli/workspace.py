@@ -21,9 +21,8 @@ from pincal.show.charts import workspace_figure
 from pincal.show.style import picture_path, save_figure
 from pincal.show.tables import workspace_table
 from pincal.words.units import WRITTEN
-from pincal.workspace.axes import Axis
 from pincal.workspace.criteria import refuse_readings
-from pincal.workspace.grid import POSITION_AXES, closer_grid, default_grid
+from pincal.workspace.grid import POSITION_AXES, Axis, closer_grid, default_grid
 from pincal.workspace.region import KINDS
 
 #: Options that samples of poses do not have; of regions that is the number of poses.

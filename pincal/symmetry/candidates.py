@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
+from itertools import permutations
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -107,7 +108,10 @@ class Points:
     def candidates(self) -> list[Element]:
         """Elements that carry every leg's points near those of some leg, each once."""
         legs, elements = self._references(), [IDENTITY]
-        for images in self._images(legs, []):
+        for images in permutations(range(len(self.base)), len(legs)):
+            pairs = np.ix_(legs, legs), np.ix_(images, images)
+            if max(np.abs(d[pairs[0]] - d[pairs[1]]).max() for d in self._apart) > 2.0 * NEARLY:
+                continue  # distances between them stay
             for sign in (1.0, -1.0):
                 first = self.fitted(images, legs, sign)
                 if first is None:
@@ -129,17 +133,6 @@ class Points:
             distances[legs] = -1.0
             legs.append(int(np.argmax(distances)))
         return legs
-
-    def _images(self, legs: Sequence[int], images: list[int]) -> Iterator[list[int]]:
-        """Yield where legs may go, the first of them to images: distances between them stay."""
-        if len(images) == len(legs):
-            yield images
-            return
-        new, placed = legs[len(images)], legs[: len(images)]
-        for image in range(len(self.base)):
-            changes = [np.abs(d[new, placed] - d[image, images]) for d in self._apart]
-            if image not in images and np.max(changes, initial=0.0) <= 2.0 * NEARLY:
-                yield from self._images(legs, [*images, image])
 
     def _keeps_freedoms(self, element: Element) -> bool:
         """Return whether the platform's poses are carried to poses that it can have."""

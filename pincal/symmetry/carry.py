@@ -153,7 +153,7 @@ def carry(leg: Leg, element: Element) -> Leg:
         )
     old, new = leg.nominal_by_name, dict(leg.parameters)
     local = LOCAL_MIRROR if element.reflection else np.eye(3)
-    on_base = {joint.name for joint, i in zip(leg.joints, leg.carriers, strict=True) if i < 0}
+    on_base = {leg.joints[i].name for i in np.flatnonzero(np.less(leg.carriers, 0))}
 
     def carried(joint: Joint, closes: object = None) -> Joint:
         """Return a joint of the leg, carried, or a platform point, where it closes something."""

@@ -1,15 +1,18 @@
-"""What makes a pose count: reach in the working mode, joint limits, margins from singularities.
+"""What is asked of poses: orientations, reach in the working mode, limits, margins.
 
 Closed forms are asked first, by shells and half-spaces; what they leave open, by closed loops.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
@@ -30,12 +33,113 @@ from pincal.kinematics.singularity import (
 from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.consistency import home_gap
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Poses
+from pincal.model.orientation import WAYS, rotation_of
+from pincal.model.platform import Platform, Poses
 from pincal.option import option
+from pincal.symmetry.elements import SAME, Element
 from pincal.types import Array, Mask
+from pincal.workspace.grid import Axis
 
 _FAR = 0.23  # from type-1 singularities
+_MOST_ORIENTATIONS = 1_000_000
 _GRIP = 1e-6  # at a type-1 singularity rounding errors choose the working mode
+
+
+_SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Orientations:
+    """Distinct orientations ``R_base_platform``."""
+
+    quaternions: Array
+    """Unit quaternions, scalar last and not negative, shape (O, 4)."""
+
+    def __repr__(self) -> str:
+        largest = np.degrees(self.rotations.magnitude().max(initial=0.0))
+        return f"Orientations: {len(self)}, turned by {largest:.4g}° at most"
+
+    def __len__(self) -> int:
+        return len(self.quaternions)
+
+    @property
+    def rotations(self) -> Rotation:
+        """The orientations, length O."""
+        return Rotation.from_quat(self.quaternions)
+
+    @classmethod
+    def from_rotations(cls, rotations: Rotation) -> Orientations:
+        """Return the distinct ones of some orientations."""
+        quaternions = np.atleast_2d(rotations.as_quat(canonical=True))
+        rounded = quaternions.round(9) + 0.0
+        leading = np.argmax(rounded[:, ::-1] != 0.0, axis=1)  # half a turn is written in two ways
+        rounded *= np.sign(rounded[np.arange(len(rounded)), 3 - leading])[:, None]
+        _, first = np.unique(rounded + 0.0, axis=0, return_index=True)
+        return cls(quaternions[np.sort(first)])
+
+    @classmethod
+    def home(cls, platform: Platform) -> Orientations:
+        """Return the orientation of the home pose alone."""
+        return cls.from_rotations(platform.home_pose.rotation)
+
+    @classmethod
+    def everywhere(cls, platform: Platform) -> Orientations:
+        """Return orientations all round: every 5° in a plane, every 30° in space."""
+        if platform.turns == 1:
+            return cls.of(platform, _round("phi", 5.0))
+        if platform.turns == 3:
+            tilt = Axis.spaced("tilt", 0.0, np.pi, np.radians(30.0))
+            return cls.of(platform, tilt, _round("azimuth", 30.0), _round("torsion", 30.0))
+        return cls.home(platform)
+
+    @classmethod
+    def of(cls, platform: Platform, *axes: str | Axis) -> Orientations:
+        """Return the orientations of a grid, in one of the ways to write them.
+
+        Axes that are not given stay at 0, but an azimuth beside a tilt goes round in steps of 10°.
+
+        Raises:
+            WorkspaceError: axes that the platform does not have, or of two ways at once.
+        """
+        values = {axis.name: axis.values for axis in map(Axis.parse, axes)}
+        if len(values) != len(axes):
+            raise WorkspaceError("an axis of orientation is given twice")
+        if platform.turns == 1 and set(values) == {"phi"}:
+            axis = np.eye(3)[platform.twist_rows[-1] - 3]
+            return cls.from_rotations(Rotation.from_rotvec(np.outer(values["phi"], axis)))
+        ways = {way: set(names) for way, (names, unit) in WAYS.items() if unit == "rad"}
+        way = next((way for way, names in ways.items() if names >= set(values)), None)
+        if platform.turns < 3 or way is None:
+            takes = {0: "none", 1: "phi", 3: _SPATIAL}[platform.turns]
+            raise WorkspaceError(
+                f"orientations by {', '.join(values)}: a {platform.kind!r} platform takes {takes}"
+            )
+        if "tilt" in values and "azimuth" not in values:
+            values["azimuth"] = _round("azimuth", 10.0).values
+        lists = [values.get(name, np.zeros(1)) for name in WAYS[way][0]]
+        if math.prod(map(len, lists)) > _MOST_ORIENTATIONS:
+            raise WorkspaceError("more than 1,000,000 orientations; take larger steps")
+        grid = np.stack(np.meshgrid(*lists, indexing="ij"), axis=-1).reshape(-1, 3)
+        return cls.from_rotations(rotation_of(way, grid))
+
+    def maps(self, element: Element, slack: float = 0.0) -> bool:
+        """Return whether an element carries the set onto itself, but for slack: R → Q R Pᵀ."""
+        side = -1.0 if element.reflection else 1.0
+        before, after = (Rotation.from_matrix(side * Q) for Q in element.turns)
+        images = (before * self.rotations * after.inv()).as_quat(canonical=True)
+        return bool(
+            np.isfinite(self._tree.query(images, distance_upper_bound=SAME + slack)[0]).all()
+        )
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        upright = self.quaternions[:, 3] <= SAME  # half a turn is written in two ways
+        return KDTree(np.concatenate((self.quaternions, -self.quaternions[upright])))
+
+
+def _round(name: str, degrees: float) -> Axis:
+    """Return an axis once round, in steps of some degrees."""
+    return Axis.spaced(name, -np.pi, np.pi, np.radians(degrees))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Grids of positions at which a workspace is asked, that symmetry maps onto themselves.
+"""Grids of positions at which a workspace is asked, and axes, as ``x [mm]=-500:500:10``.
 
 Positions are made from their numbers, never held all. The lowest number of an orbit under the
 mechanism's group represents it, so that these form a fundamental domain.
@@ -7,7 +7,8 @@ mechanism's group represents it, so that these form a fundamental domain.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -24,31 +25,116 @@ from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import SAME
 from pincal.types import Array, Mask
-from pincal.workspace.axes import Axis
+from pincal.words.units import UNITS
 
 Indices = NDArray[np.int64]
-#: Takes numbers of positions to those of their images.
-Carrier: TypeAlias = Callable[[Indices], Indices]
+Carrier: TypeAlias = Callable[[Indices], Indices]  # of positions to those of their images
+_AXIS = re.compile(r"^\s*(\w+)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*=\s*(.+?)\s*$")
+MOST = 10_000_000  # values of an axis, or poses, beyond which they are refused
+#: Units of all axes that a grid may have.
+DIMENSIONS = {
+    **dict.fromkeys(("x", "y", "z", "radius"), "m"),
+    **dict.fromkeys(("bearing", "phi", "azimuth", "tilt", "torsion"), "rad"),
+    **dict.fromkeys(("rx", "ry", "rz", "yaw", "pitch", "roll"), "rad"),
+}
+#: Angles that come back to where they were after a full turn.
+TURNING = ("bearing", "phi", "azimuth", "torsion", "yaw", "roll")
 POSITION_AXES = ("x", "y", "radius", "bearing", "z")
-BLOCK = 1 << 17
-"""Positions, or pairs of position and orientation, in memory at a time."""
+BLOCK = 1 << 17  # positions, or pairs of position and orientation, in memory at a time
 _MOST = 1_000_000_000  # positions, a byte each
 _ACROSS = {2: 200, 3: 60}  # steps of a grid in the plane, in space, across the box
 _CLOSER = 0.8  # of the extent, below which another look is worth while
 _AROUND = {2: 360, 3: 72}  # bearings of a polar grid, at least
 
 
-def blocks(size: int, step: int = BLOCK) -> Iterator[tuple[int, int]]:
-    """Yield the ends of parts of so many positions."""
-    for begin in range(0, size, step):
-        yield begin, min(begin + step, size)
+@dataclass(frozen=True, eq=False, repr=False)
+class Axis:
+    """Values of one coordinate."""
 
+    name: str
+    """``x``, ``y``, ``z``; ``radius`` and ``bearing`` of a polar grid; or of an orientation."""
+    values: Array
+    """Increasing, shape (n,), [m] or [rad]."""
 
-def counting(inside: Mask) -> Iterator[Indices]:
-    """Yield the numbers of positions that count, a bounded number at a time."""
-    for begin, end in blocks(len(inside)):
-        if len(index := begin + np.flatnonzero(inside[begin:end])):
-            yield index
+    def __post_init__(self) -> None:
+        if self.name not in DIMENSIONS:
+            raise WorkspaceError(f"unknown axis {self.name!r}; expected {', '.join(DIMENSIONS)}")
+        values = np.array(self.values, dtype=np.float64)
+        if not values.size or values.ndim != 1 or not np.isfinite(values).all():
+            raise WorkspaceError(f"axis {self.name!r} is empty or has values that are not finite")
+        if (np.diff(values) <= 0).any():
+            raise WorkspaceError(f"axis {self.name!r}: the values must increase")
+        if self.name == "radius" and values[0] < 0.0:
+            raise WorkspaceError("axis 'radius' has negative values")
+        values.setflags(write=False)
+        object.__setattr__(self, "values", values)
+
+    def __repr__(self) -> str:
+        first, last, unit = self.values[0], self.values[-1], DIMENSIONS[self.name]
+        return f"Axis: {self.name} from {first:.6g} to {last:.6g} {unit}, {len(self.values)} values"
+
+    @property
+    def step(self) -> float:
+        """Mean distance of neighbouring values; 0 if there is one value."""
+        return float(np.ptp(self.values) / max(len(self.values) - 1, 1))
+
+    @property
+    def full_turn(self) -> bool:
+        """Whether the values go once round, evenly."""
+        turn = self.step * len(self.values)
+        return self.name in TURNING and bool(np.isclose(turn, 2 * np.pi, rtol=1e-9))
+
+    @classmethod
+    def spaced(cls, name: str, low: float, high: float, step: float) -> Axis:
+        """Return values from low to high; of an angle's full turn the first end only."""
+        fault = None
+        if not np.isfinite([low, high, step]).all():
+            fault = "limits and step must be finite numbers"
+        elif high < low:
+            fault = f"limits reversed, {low:g} to {high:g}; write the lower one first"
+        elif step <= 0.0:
+            fault = f"the step is {step:g}; expected more than 0"
+        elif (high - low) / step > MOST:
+            fault = f"more than {MOST:,} values; a larger step"
+        if fault:
+            raise WorkspaceError(f"axis {name!r}: {fault}")
+        count = int(np.floor((high - low) / step + ALIKE)) + 1
+        last = low + (count - 1) * step
+        if abs(high - last) <= ALIKE * step:
+            last = high
+        values = np.linspace(low, last, count)
+        if name in TURNING and count > 1 and np.isclose(last - low, 2 * np.pi, rtol=1e-9):
+            values = values[:-1]
+        return cls(name, values)
+
+    @classmethod
+    def parse(cls, text: str | Axis) -> Axis:
+        """Return an axis, perhaps of ``NAME [UNIT]=LOW:HIGH:STEP`` or ``NAME [UNIT]=VALUE,…``."""
+        if isinstance(text, Axis):
+            return text
+        match = _AXIS.match(text)
+        if not match:
+            raise WorkspaceError(
+                f"{text!r} is not an axis; expected for example 'x [mm]=-500:500:10' "
+                "(low:high:step) or 'phi=0,0.4'"
+            )
+        name, unit, values = match.groups()
+        dimension = DIMENSIONS.get(name)
+        if dimension and unit is not None and UNITS.get(unit, ("", 0.0))[0] != dimension:
+            fitting = ", ".join(u for u, (kind, _) in UNITS.items() if kind == dimension)
+            raise WorkspaceError(f"axis {name!r} has unit [{unit}]; expected one of {fitting}")
+        factor, separator = UNITS.get(unit, ("", 1.0))[1], ":" if ":" in values else ","
+        try:
+            numbers = [float(value) * factor for value in values.split(separator)]
+        except ValueError:
+            numbers = []
+        if separator == ":" and len(numbers) == 3:
+            return cls.spaced(name, *numbers)
+        if separator == ":" or not numbers:
+            raise WorkspaceError(
+                f"axis {name!r}: {values!r} is not LOW:HIGH:STEP nor VALUE,VALUE,…"
+            )
+        return cls(name, np.unique(numbers))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -124,21 +210,19 @@ class Grid:
         third = heights[0] if heights else np.zeros_like(first)
         return np.stack((first, second, third), axis=-1)
 
-    def measures(self, index: Indices) -> Array:
-        """Return the length, area or volume of cells: axes with one value do not count."""
-        result = np.ones(len(index))
-        for axis, i in zip(self.axes, np.unravel_index(index, self.shape), strict=True):
-            if len(axis.values) > 1:
-                result *= axis.step
-            if axis.name == "radius":  # r dr, exact for the ring, less what is beyond the centre
-                beyond = np.maximum(axis.step / 2 - axis.values[i], 0.0)
-                result *= axis.values[i] + beyond**2 / (2 * axis.step or 1.0)
-        return result
+    @property
+    def measures(self) -> Array:
+        """Length, area or volume of a cell at each value of the first axis, shape (n,)."""
+        first, size = self.axes[0], math.prod(axis.step or 1.0 for axis in self.axes)
+        if not self.polar:
+            return np.full(len(first.values), size)
+        beyond = np.maximum(first.step / 2 - first.values, 0.0)  # the centre; rings are r dr
+        return size * (first.values + beyond**2 / (2 * first.step or 1.0))
 
     def carrier(self, move: Array, slack: float = 0.0) -> Carrier | None:
-        """Return what an isometry, (4, 4), does to numbers, or None if the grid does not map.
+        """Return what an isometry, (4, 4), does to numbers; None if it does not map but for slack.
 
-        But for slack, less than half a step: [m] along axes, [rad] between them.
+        That is less than half a step, [m] along axes, [rad] between them.
         """
         Q, t = move[:3, :3], move[:3, 3]
         if self.polar:  # radii stay, bearings turn or are mirrored
@@ -180,25 +264,6 @@ def lowest(carriers: Iterable[Carrier], index: Indices) -> Indices:
     return np.min([index, *(carrier(index) for carrier in carriers)], axis=0)
 
 
-def at_edge(grid: Grid, inside: Mask) -> Array:
-    """Return where positions that count end the grid, half a step outside, shape (M, 3), [m]."""
-    cells = inside.reshape(grid.shape)
-    ends = [np.empty((0, 3))]
-    for place, axis in enumerate(grid.axes):
-        n = len(axis.values)
-        if n < 2 or axis.full_turn:
-            continue
-        for end, sign in ((0, -1.0), (n - 1, 1.0)):
-            if axis.name == "radius" and sign < 0 and axis.values[0] <= axis.step:
-                continue  # the centre is no edge
-            ends_at = np.argwhere(cells.take([end], place))
-            ends_at[:, place] = end
-            coordinates = [a.values[i] for a, i in zip(grid.axes, ends_at.T, strict=True)]
-            coordinates[place] = coordinates[place] + sign * axis.step / 2
-            ends.append(grid.cartesian(coordinates))
-    return np.concatenate(ends)
-
-
 def edges(grid: Grid, inside: Mask) -> Indices:
     """Return pairs of neighbours of which one counts, by number, shape (M, 2)."""
     cells, pairs = inside.reshape(grid.shape), []
@@ -222,13 +287,9 @@ def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
         joined = (ends[0] > 0) & (ends[1] > 0)
         graph = coo_array((joined[joined], (ends[0][joined], ends[1][joined])), [count + 1] * 2)
         numbers = connected_components(graph, directed=False)[1]
-    nearest = (
-        index[np.argmin(np.linalg.norm(grid.at(index) - home, axis=1))]
-        for index in counting(inside)
-    )
-    distances = {float(np.linalg.norm(grid.at(np.array([i])) - home)): i for i in nearest}
-    around = labels.ravel()[distances[min(distances)]]
-    return inside & (numbers[labels] == numbers[around]).ravel()
+    index = np.flatnonzero(inside)
+    nearest = index[np.argmin(np.linalg.norm(grid.at(index) - home, axis=1))]
+    return inside & (numbers[labels] == numbers[labels.ravel()[nearest]]).ravel()
 
 
 def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) -> Grid:

@@ -25,15 +25,17 @@ from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element, applied
 from pincal.types import Array, Mask
 from pincal.words.numbers import measured
-from pincal.workspace.axes import Orientations
-from pincal.workspace.criteria import Margins, as_margins, criteria_of, refuse_readings
+from pincal.workspace.criteria import (
+    Margins,
+    Orientations,
+    as_margins,
+    criteria_of,
+    refuse_readings,
+)
 from pincal.workspace.grid import (
     BLOCK,
     Carrier,
     Grid,
-    at_edge,
-    blocks,
-    counting,
     edges,
     lowest,
     part_around,
@@ -60,19 +62,18 @@ class PositionTest:
     def __call__(self, positions: Array) -> Mask:
         """Return which positions, shape (N, 3), count."""
         inside = np.empty(len(positions), dtype=bool)
-        for begin, end in blocks(len(positions), max(1, BLOCK // len(self.orientations))):
-            inside[begin:end] = self._decided(positions[begin:end])
+        step = max(1, BLOCK // len(self.orientations))
+        for begin in range(0, len(positions), step):
+            inside[begin : begin + step] = self._decided(positions[begin : begin + step])
         return inside
 
     @cached_property
     def _turns(self) -> tuple[Array, list[Array]]:
-        """Orientations as matrices, (O, 3, 3), and each leg's point turned by them, (3, O).
-
-        Those that are likely to decide come first: the far ones if every one must be reached.
-        """
+        """Orientations as matrices, (O, 3, 3), those first that decide, and turned points."""
         rotations = self.orientations.rotations
         home = self.mechanism.platform.home_pose.rotation[0]
         far = (home.inv() * rotations).magnitude()
+        # far ones decide soonest if every one must be reached
         R = rotations.as_matrix()[np.argsort(-far if self.every else far, kind="stable")]
         return R, [(R @ reach.point).T for reach in self._criteria.reaches]
 
@@ -176,13 +177,19 @@ class Workspace:
     @cached_property
     def cut(self) -> bool:
         """Whether positions that count lie at the edge of the grid: there may be more outside."""
-        return len(at_edge(self.asked, self.inside)) > 0
+        cells = self.inside.reshape(self.asked.shape)
+        for place, axis in enumerate(self.asked.axes):
+            round_centre = axis.name == "radius" and axis.values[0] <= axis.step  # is no edge
+            ends = cells.take([-1] if round_centre else [0, -1], place)
+            if len(axis.values) > 1 and not axis.full_turn and ends.any():
+                return True
+        return False
 
     @cached_property
     def apart(self) -> int:
         """How many positions that count do not hang together with home's on the grid.
 
-        They may belong to another aspect, or hang together by other heights and orientations.
+        They may belong to another aspect, or hang together by other orientations.
         """
         if not self.inside.any():
             return 0
@@ -192,14 +199,15 @@ class Workspace:
     @cached_property
     def measure(self) -> float:
         """Area [m²] or volume [m³]; a length [m] on a line."""
-        return float(sum(self.asked.measures(index).sum() for index in counting(self.inside)))
+        counts = np.count_nonzero(self.inside.reshape(self.asked.shape[0], -1), axis=1)
+        return float(counts @ self.asked.measures)
 
     @cached_property
     def uncertainty(self) -> float:
         """By how much ``measure`` is off at most: half a cell along the whole edge on the grid."""
-        along = self.asked.measures(edges(self.asked, self.inside).ravel()).sum() / 4
-        cell = self.asked.measures(np.array([self.asked.size - 1]))[0]  # may have been missed
-        return float(max(along, cell))
+        places = np.unravel_index(edges(self.asked, self.inside).ravel(), self.asked.shape)
+        measures = self.asked.measures
+        return float(max(measures[places[0]].sum() / 4, measures[-1]))  # one may have been missed
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the positions that count to a CSV file: x [m], y [m] and, in space, z [m]."""
@@ -225,11 +233,9 @@ class Computing:
     """How a workspace is computed."""
 
     symmetry: bool = True
-    """Compute a fundamental domain of the mechanism's group only, as far as the group maps
-    positions and orientations onto themselves."""
+    """Compute a fundamental domain of the group only, as far as it maps what is asked."""
     connected: bool = False
-    """Keep only what hangs together, on this grid, with the position that counts and is nearest
-    to home."""
+    """Keep only what hangs together, on this grid, with the position nearest to home."""
     progress: Callable[[int], None] | None = None
     """Called with the number of positions done."""
 
@@ -280,7 +286,8 @@ def compute_workspace(
     unused = tuple(e for e in group if e not in elements)
     size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(orientations)))
     inside, asked, computed = *np.zeros((2, grid.size), dtype=bool), 0
-    for begin, end in blocks(grid.size, size):
+    for begin in range(0, grid.size, size):
+        end = min(begin + size, grid.size)
         index = np.arange(begin, end)
         first = lowest(elements.values(), index)  # of each orbit: done with before, or now
         domain = index[first == index]

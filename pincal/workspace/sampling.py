@@ -33,9 +33,8 @@ from pincal.model.platform import Platform
 from pincal.model.relations import missed
 from pincal.model.setup import Setup
 from pincal.types import Array, Mask, Point
-from pincal.workspace.axes import MOST
 from pincal.workspace.criteria import Margins, as_margins, criteria_of, in_workspace
-from pincal.workspace.grid import reach_box
+from pincal.workspace.grid import MOST, reach_box
 
 _RARE = 0.05  # of drawn readings: of fewer that count, the next are drawn nearer to home
 _HALVINGS = 24  # of the range of readings: nearer than that, none counts
