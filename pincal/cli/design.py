@@ -15,6 +15,7 @@ from pincal import (
     FileError,
     Margins,
     MeasurementError,
+    Measurements,
     Mechanism,
     Noise,
     Plan,
@@ -51,6 +52,7 @@ from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show import explanation, tables
 from pincal.words.numbers import amount, reading_in
+from pincal.words.units import Units
 
 _FORECAST = 50  # poses, where no plan is given
 
@@ -280,16 +282,21 @@ def simulate(
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
     with writing_together(outputs, force=force) as scratch:
         folders, files = scratch[: -len(tables)], scratch[-len(tables) :]
-        data = simulation.measurements
-        if setup.corners is not None:
-            write_table(files[1], corners_of(setup, data))
-            extra = {name: x for name, x in data.extra.items() if name not in setup.pixels}
-            data = replace(data, extra=extra)
-        write_table(files[0], columns_of(mechanism, data), units=units)
+        _write_simulated(mechanism, setup, simulation.measurements, files, units)
         for folder in folders:
             write_mechanism(true_mechanism, folder)
     _say_unreached(planned, simulation)
     wrote(*dict(outputs))
+
+
+def _write_simulated(
+    mechanism: Mechanism, setup: Setup, data: Measurements, paths: Sequence[Path], units: Units
+) -> None:
+    if setup.corners is not None:
+        write_table(paths[1], corners_of(setup, data))
+        extra = {name: x for name, x in data.extra.items() if name not in setup.pixels}
+        data = replace(data, extra=extra)
+    write_table(paths[0], columns_of(mechanism, data), units=units)
 
 
 def _say_unreached(planned: Plan, simulation: Simulation) -> None:
