@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 624,
-    "calibration": 6_746,
+    "calibration": 6_744,
     "cli": 2_966,
     "design": 2_311,
     "estimation": 4_890,
@@ -36,7 +36,7 @@ MOST = {
     "largest folder": 15,
     "vague names": 0.01,
     "class names twice": 0,
-    "dataclasses": 142,
+    "dataclasses": 141,
     "complex functions": 0,
     "long signatures": 0,
     "imports inside functions": 0,

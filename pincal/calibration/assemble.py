@@ -21,7 +21,6 @@ from pincal.calibration.result_parts import (
     CONTROLLED,
     HELD,
     IdentifiedParameter,
-    LegResult,
     ResidualGroup,
 )
 from pincal.design.platform_error import CONFIDENCE
@@ -277,7 +276,7 @@ def _identified(fits: Fits, std: Array, half: Array) -> tuple[IdentifiedParamete
     priors = options.priors_by_name(calibration.mechanism)
     names_by_kind = {"fixed": options.fixed, "tied": options.tied, "prior": priors}
     if len(outside):
-        start, estimates = (outside.coordinates(each) for each in (began, fits.external))
+        start, estimates = map(outside.coordinates, (began, fits.external))
         for id_, unit, nominal in zip(outside.names, outside.units, start.tolist(), strict=True):
             owner, _, name = id_.partition(".")
             parameters.append(Parameter(owner, name, unit, nominal))
@@ -296,7 +295,7 @@ def _identified(fits: Fits, std: Array, half: Array) -> tuple[IdentifiedParamete
 
 def _residuals(
     fits: Fits, parameters: Sequence[IdentifiedParameter]
-) -> tuple[tuple[LegResult, ...], tuple[ResidualGroup, ...]]:
+) -> tuple[tuple[ResidualGroup, ...], tuple[ResidualGroup, ...]]:
     """Return what is left of legs in order, and of what was measured, if poses were unknowns."""
     legs, observed = {}, list[ResidualGroup]()
     for fit in fits.fits:
@@ -307,7 +306,7 @@ def _residuals(
             of_leg = fit.problem.leg_block.columns[index]
             names = fit.problem.legs[index].parameter_names
             determined = identifiability(fit.last.triangle[:, of_leg], names)
-            legs[leg.name] = LegResult(
+            legs[leg.name] = ResidualGroup(
                 name=leg.name,
                 quantity=after.quantity,
                 unit=after.unit,

@@ -266,8 +266,8 @@ def misaligned(
         along, moved = Q.T @ own, A @ own
         inside = along @ along
         p_value = float(fdtrc(k, free, inside / k / ((own @ own - inside) / free)))
-        rest = moved - b @ np.linalg.lstsq(b, moved, rcond=None)[0]
-        share = float(1.0 - rest @ rest / (moved @ moved))
+        unexplained = moved - b @ np.linalg.lstsq(b, moved, rcond=None)[0]
+        share = float(1.0 - unexplained @ unexplained / (moved @ moved))
         if p_value > _CHANCE or share < _MATTERS:
             continue
         amounts = np.linalg.lstsq(R, along, rcond=None)[0]

@@ -16,7 +16,6 @@ from pincal.calibration.options import FOLDS, By, Options
 from pincal.calibration.promise import excess_of, expected_error
 from pincal.calibration.result_parts import (
     IdentifiedParameter,
-    LegResult,
     ResidualGroup,
     Validation,
 )
@@ -65,7 +64,7 @@ class CalibrationResult:
     """
 
     calibration: Calibration
-    legs: tuple[LegResult, ...]
+    legs: tuple[ResidualGroup, ...]
     external: tuple[IdentifiedParameter, ...]
     """Where the base is in the frame of the measurements (``tracker.x`` …, a rotation vector),
     and where the targets sit on the platform (``target.x`` …)."""
@@ -252,7 +251,7 @@ class CalibrationResult:
             before, after = _whitened([*self.legs, *self.observed])
         return self.excess == 1.0 or bool((after**2).sum() <= _FELL**2 * (before**2).sum())
 
-    def leg(self, name: str) -> LegResult:
+    def leg(self, name: str) -> ResidualGroup:
         """Return the result of one leg by name."""
         return self.legs[self.nominal.leg_names.index(self.nominal.leg(name).name)]
 

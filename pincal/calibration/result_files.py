@@ -184,8 +184,8 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
     saved = replace(calibration, mechanism=machine, measurements=data)
     identified = np.concatenate([leg.identified for leg in result.legs])
     twists: list[list[Array]] = []
-    for each, parameters in ((calibration, identified), (saved, machine.parameters.values)):
-        block = each.leg_block(range(len(result.legs)), rows, each.used)
+    for fit, parameters in ((calibration, identified), (saved, machine.parameters.values)):
+        block = fit.leg_block(range(len(result.legs)), rows, fit.used)
         missing = block.evaluate(State(parameters, machine.platform.matrices(result.poses)))
         undone = (
             np.linalg.pinv(missing.by_pose[:, leg]) @ missing.value[:, leg, None]

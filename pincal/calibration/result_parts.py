@@ -61,7 +61,10 @@ class IdentifiedParameter(Parameter):
 
 @dataclass(frozen=True, repr=False)
 class ResidualGroup:
-    """Residuals of one leg, or of one measured quantity of the platform."""
+    """Residuals of one leg, with its parameters, or of one measured quantity of the platform.
+
+    Of a leg they are closures at measured poses; at estimated ones, predicted less measured.
+    """
 
     name: str
     """Of the leg, or of the quantity."""
@@ -79,6 +82,30 @@ class ResidualGroup:
     """Residuals with identified parameters, predicted less measured, shape (n,)."""
     redundancy: Array
     """Variance of each residual over that of its noise, 1 − h of its leverage h, shape (n,)."""
+    parameters: tuple[IdentifiedParameter, ...] = ()
+    """Of the leg."""
+    rank: int = 0
+    """Of the leg's whitened identification Jacobian."""
+    condition: float = np.nan
+    """Of the same, columns scaled to unit length."""
+
+    def __repr__(self) -> str:
+        before, after = (shown_in(rms, self.unit) for rms in (self.rms_before, self.rms_after))
+        of_leg = f"{len(self.parameters)} parameters, rank {self.rank}, " * bool(self.parameters)
+        return (
+            f"ResidualGroup({self.name!r}, {of_leg}{self.quantity} residuals {before:.3g} → "
+            f"{after:.3g} {SMALL[self.unit]})"
+        )
+
+    @property
+    def identified(self) -> Array:
+        """Identified values, shape (n_params,)."""
+        return np.array([p.identified for p in self.parameters])
+
+    @property
+    def std(self) -> Array:
+        """Standard errors, shape (n_params,)."""
+        return np.array([p.std for p in self.parameters])
 
     @property
     def n_residuals(self) -> int:
@@ -106,33 +133,6 @@ class ResidualGroup:
         spread = self.sigma * np.sqrt(self.redundancy)
         checked = (self.redundancy > CONTROLLED) & (self.sigma > 0.0)
         return np.where(checked, self.residuals, np.nan) / np.where(checked, spread, 1.0)
-
-
-@dataclass(frozen=True, repr=False)
-class LegResult(ResidualGroup):
-    """Calibration of one leg: parameters; closures at measured poses, or residuals of readings."""
-
-    parameters: tuple[IdentifiedParameter, ...]
-    rank: int
-    condition: float
-    """Of the leg's whitened identification Jacobian, columns scaled to unit length."""
-
-    def __repr__(self) -> str:
-        before, after = (shown_in(rms, self.unit) for rms in (self.rms_before, self.rms_after))
-        return (
-            f"LegResult({self.name!r}, {len(self.parameters)} parameters, rank {self.rank}, "
-            f"{self.quantity} residuals {before:.3g} → {after:.3g} {SMALL[self.unit]})"
-        )
-
-    @property
-    def identified(self) -> Array:
-        """Identified values, shape (n_params,)."""
-        return np.array([p.identified for p in self.parameters])
-
-    @property
-    def std(self) -> Array:
-        """Standard errors, shape (n_params,)."""
-        return np.array([p.std for p in self.parameters])
 
 
 KINDS = ("verification", "held-out")

@@ -19,7 +19,6 @@ from matplotlib.transforms import Affine2D
 
 from pincal.calibration.promise import apart
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_parts import LegResult
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.model.measurements import Plan
 from pincal.show.misses import camera_misses, level_poses, noisy_residuals
@@ -70,7 +69,8 @@ class Plots:
         sizes = [np.nanmax(np.abs(values), initial=0.0) for _, _, values in lanes]
         lane = max(6.0, 2.2 * float(max(sizes, default=0.0)))  # from one kind to the next
         for index, (_, rows, values) in enumerate(lanes):
-            colour = leg_colour(index) if isinstance([*groups, held][index], LegResult) else EVERY
+            of_leg = index < len(groups) and groups[index].parameters
+            colour = leg_colour(index) if of_leg else EVERY
             fill, size = ("none", 4.0) if index == len(groups) else (None, 2.5)
             middle = -lane * index
             within = Affine2D().translate(0.0, middle) + ax.transData

@@ -250,7 +250,7 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
     """Return poses, NaN where readings lead nowhere, of several calibrations, (N, 4, 4) each."""
     platform = case.mechanism.platform
     if case.alone or not calibrations:
-        return [_in_base(each, each.observation.external.start, None) for each in calibrations]
+        return [_in_base(rows, rows.observation.external.start, None) for rows in calibrations]
     readings = np.concatenate([calibration.measurements.readings for calibration in calibrations])
     known = np.isfinite(readings).all(axis=1)
     distinct, index = np.unique(readings[known], axis=0, return_inverse=True)

@@ -203,7 +203,7 @@ def as_findings(case: Case, explaining: Sequence[Judged]) -> tuple[Finding, ...]
     named_legs, findings = as_measured.questioned or list(range(len(names))), []
     for judged in explaining:
         misfit, before = (
-            max(PRECISE, float(each.misfits[named_legs].max())) for each in (judged, as_measured)
+            max(PRECISE, float(j.misfits[named_legs].max())) for j in (judged, as_measured)
         )
         hypothesis, values = judged.hypothesis, dict[str, Any](judged.hypothesis.values)
         legs = hypothesis.legs or range(len(names))
