@@ -15,11 +15,11 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 624,
-    "calibration": 6_744,
+    "calibration": 6_745,
     "cli": 2_966,
     "design": 2_311,
     "estimation": 4_890,
-    "files": 3_412,
+    "files": 3_410,
     "formats": 3_645,
     "instruments": 1_578,
     "kinematics": 3_323,

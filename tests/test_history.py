@@ -120,3 +120,13 @@ def test_history_is_a_verdict_and_a_page(first: pincal.CalibrationResult, tmp_pa
     assert "leg_2.l moved by +" in text
     assert "http" not in text.partition("<main>")[2]
     assert "no result" in run("history", tmp_path / "none").trouble
+
+
+def test_no_limit_is_shown_where_there_is_none(tmp_path: Path) -> None:
+    """Calibrations of too few poses have an error and no limit, which is no infinite number."""
+    for month in ("2026-01", "2026-02"):
+        poses = pincal.Plan(PLAN.poses[:5])
+        truth = pincal.disturb(MACHINE, 2e-4, seed=0)
+        data = pincal.simulate(MACHINE, truth, poses, NOISE, int(month[-1])).measurements
+        pincal.calibrate(MACHINE, data, noise=NOISE).save(tmp_path / month)
+    assert "inf" not in run("history", tmp_path).out

@@ -312,6 +312,7 @@ def test_elements_of_a_joint_are_read_harmless_or_refused(
         ('name="Revolute 1"', 'name="Revolute 1" pose="1 0 0"', "'pose' of its <joint>"),
         ("<origin xyz=", '<origin scale="2" xyz=', "'scale' of its <origin>"),
         ('<axis xyz="0 0 1"', '<axis rpy="1 0 0" xyz="0 0 1"', "'rpy' of its <axis>"),
+        ("</joint>", '<mimic joint="Revolute 1" ratio="2"/></joint>', "'ratio' of its <mimic>"),
         ('version="1.1"', "", "version"),
         ("quat_xyzw=", 'rpy="0 0 0" quat_xyzw=', "without rpy"),
         ("1 0 0 1", "0 0 0 0", "not all zero"),

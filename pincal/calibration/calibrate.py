@@ -158,7 +158,7 @@ def run(
         return result, fits, ["no rows were held out (--folds 0)"] * asked_none
     try:
         return with_validation(result, folds, by, fits), fits, []
-    except (PincalError, ArithmeticError) as error:
+    except (PincalError, ArithmeticError, np.linalg.LinAlgError) as error:
         return result, fits, [f"no held-out validation: {error}"]
 
 
@@ -178,7 +178,7 @@ def blame_wrong_rows(
     try:
         fits = fitted(result.calibration.with_options(loss="reject"))
         robust = assemble(fits)
-    except PincalError:
+    except (PincalError, np.linalg.LinAlgError):  # rows that fit may not determine all
         return findings, result.outliers
     total = len(result.measurements)
     least = -ndtri(FALSE_ALARM / (2.0 * total))  # Bonferroni: one sound set in a hundred has any
@@ -249,9 +249,10 @@ def explained_error(calibration: Calibration, error: Exception) -> Exception:
     if faults:
         return MisfitError(sentences(faults)[0])
     if isinstance(error, np.linalg.LinAlgError):
+        options = "--loss none" if calibration.options.loss != "none" else "--loss reject"
         return ObservabilityError(
-            "the search went where the parameters are not determined; look for rows that are "
-            "wrong (--loss reject), or give a better nominal mechanism"
+            "the search went where the parameters are not determined by the rows that count; look "
+            f"for rows that are wrong ({options}), or give a better nominal mechanism"
         )
     return error
 
@@ -351,6 +352,6 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     except MeasurementError:
         return Remedy(findings, calibration, None, "residuals are too large for noise")
     remedy = Remedy(findings, calibration, result, "")
-    with suppress(PincalError, ArithmeticError):
+    with suppress(PincalError, ArithmeticError, np.linalg.LinAlgError):
         return replace(remedy, result=result.validated()) if remedy.works else remedy
     return remedy

@@ -34,12 +34,10 @@ _PLACING = {
     "axis": {"xyz"},
     "parent": {"link"},
     "child": {"link"},
+    "mimic": {"joint", "multiplier", "offset"},
 }
 #: Elements of a joint whose attributes place nothing, but for limits, which are read.
-_PLACING_NOTHING = {
-    *("limit", "mimic", "dynamics", "safety_controller", "calibration"),
-    "joint_properties",  # friction, which onshape-to-robot writes
-}
+_PLACING_NOTHING = {"limit", "dynamics", "safety_controller", "calibration", "joint_properties"}
 KINDS: dict[str, JointKind] = {
     "revolute": "revolute",
     "continuous": "revolute",
@@ -231,7 +229,7 @@ def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
     )
     if ratio == 0.0:
         return replace(joint, lower=offset, upper=offset)
-    return replace(joint, follows=Follows(str(mimic.get("joint")), ratio, offset))
+    return replace(joint, follows=Follows(mimic.get("joint", ""), ratio, offset))
 
 
 def _check_parts(element: etree._Element, place: str) -> None:
