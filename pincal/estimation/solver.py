@@ -231,8 +231,8 @@ def _judged(system: System, current: Iterate, trial: Iterate, step: Array) -> tu
 
     And whether nothing but rounding is left to gain by steps that the cost is blind to.
     """
-    cost = min(system.cost(trial.judged, current.weights, current.judged), trial.cost)
-    gain = (current.cost - cost) / max(current.normal.fall(step), 1e-300)
+    costs = [system.cost(trial.judged, current.weights, rows) for rows in (current.judged, None)]
+    gain = (current.cost - min(costs)) / max(current.normal.fall(step), 1e-300)
     before, after = current.normal.decrement, trial.normal.decrement
     stays = after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
     return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0, current.blind and stays
