@@ -34,8 +34,8 @@ class SheetDimension:
     unit: str = "m"
     """``"m"``, ``"rad"``, or ``""`` of a text."""
     default: float | str = ""
-    """[m], [rad], or a text; with ``of`` a factor."""
-    of: str = ""
+    """[m], [rad], or a text; with ``multiple_of`` a factor."""
+    multiple_of: str = ""
     """Dimension before it, of which the default is a multiple."""
     least: float = LEAST
     """[m] or [rad], as ``most``."""
@@ -79,9 +79,11 @@ def sized(value: float, unit: str) -> str:
     return f"{1e3 * value:.6g} mm" if unit == "m" else f"{degrees(value):.6g} deg"
 
 
-def length(name: str, label: str, default: float, of: str = "", **limits: Any) -> SheetDimension:
+def length(
+    name: str, label: str, default: float, multiple_of: str = "", **limits: Any
+) -> SheetDimension:
     """Return a length, its default in [m], or a multiple of another one before it."""
-    return SheetDimension(name, label, "m", default, of, **limits)
+    return SheetDimension(name, label, "m", default, multiple_of, **limits)
 
 
 def angle(
@@ -120,7 +122,9 @@ class Architecture:
             value = dimensions.get(dimension.name)
             if value is None:
                 value = dimension.default
-                value = float(value) * values[dimension.of] if dimension.of else value
+                value = (
+                    float(value) * values[dimension.multiple_of] if dimension.multiple_of else value
+                )
             values[dimension.name] = dimension.checked(value, values)
         return values
 

@@ -320,8 +320,8 @@ def _exported(
 
 def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptions) -> None:
     """Write corrections over poses."""
-    other = options.controller is not None
-    if not (mechanism.amplitudes or other):
+    has_controller = options.controller is not None
+    if not (mechanism.amplitudes or has_controller):
         raise MechanismError(
             f"{mechanism.name!r} has no terms: a controller with its geometry, gains and offsets "
             "needs no correction; one with other geometry does (--controller MECH)"
@@ -329,7 +329,7 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
     units = options.written_in(mechanism)
     plan = None if options.poses is None else read_poses(options.poses, mechanism)
     influences = {} if plan is None else own_influences(mechanism, plan.influences)
-    if not (other or influences or mechanism.loaded or mechanism.at_reference.amplitudes):
+    if not (has_controller or influences or mechanism.loaded or mechanism.at_reference.amplitudes):
         raise MechanismError(
             f"all terms of {mechanism.name!r} follow {first_of(mechanism.influences, ', ')}: at "
             "their reference there is nothing to correct; give poses with these columns (--poses)"

@@ -11,8 +11,7 @@ import numpy as np
 import typer
 
 import pincal
-from pincal import FileError, Mechanism, Noise, Plan
-from pincal.architectures.architecture import Architecture, Values
+from pincal import FileError, Noise, Plan
 from pincal.architectures.catalogue import ARCHITECTURES, architecture_of
 from pincal.cli.app import app, command, remark, run_step, say, stdout, working, wrote
 from pincal.cli.options import Force, Seed, named_after, output_option
@@ -82,7 +81,13 @@ def new(
     mechanism = pincal.new_mechanism(design.name, name=named_after(output), **values)
     noise = Noise(reading=_READ if mechanism.redundant else 0.0)
     with working("choosing poses"):
-        candidates = _candidates(design, values, mechanism)
+        if design.region is None:  # all that its readings reach, or where it works
+            candidates = pincal.sample_configurations(mechanism, _CANDIDATES, _SEED)
+        else:
+            low, high = design.region(values)
+            size = 4 * _CANDIDATES, len(low)
+            poses = np.random.default_rng(_SEED).uniform(low, high, size)
+            candidates = Plan(poses[in_workspace(mechanism, poses)][:_CANDIDATES])
         chosen = pincal.select_configurations(mechanism, candidates, count, noise=noise, seed=_SEED)
         plan = with_verification(mechanism, chosen.plan, candidates, _VERIFY, _SEED)
         plan = in_rounds(mechanism, plan, seed=_SEED)
@@ -101,15 +106,6 @@ def new(
     for file, description in DESCRIPTIONS.items():
         remark(f"  {file}: {description}")
     remark(f"then: pincal calibrate {output} {output / 'sheet.csv'} -o RESULT")
-
-
-def _candidates(design: Architecture, values: Values, mechanism: Mechanism) -> Plan:
-    """Return poses to choose from: where the machine works, or all that its readings reach."""
-    if design.region is None:
-        return pincal.sample_configurations(mechanism, _CANDIDATES, _SEED)
-    low, high = design.region(values)
-    poses = np.random.default_rng(_SEED).uniform(low, high, (4 * _CANDIDATES, len(low)))
-    return Plan(poses[in_workspace(mechanism, poses)][:_CANDIDATES])
 
 
 _NOISE = 5e-5  # of positions, of the machine's size

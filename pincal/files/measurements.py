@@ -105,9 +105,9 @@ def read_measurements(
     setup = setup if isinstance(setup, Setup) else Setup.from_yaml(setup)
     platform = mechanism.platform
     if isinstance(source, Measurements):
-        of, counts = f"of {mechanism.name!r}", (platform.dof, len(mechanism.reading_names))
-        array_of(source.poses, ("N", counts[0]), f"poses {of}", MeasurementError)
-        array_of(source.readings, ("N", counts[1]), f"readings {of}", MeasurementError)
+        owner, count = f"of {mechanism.name!r}", len(mechanism.reading_names)
+        array_of(source.poses, ("N", platform.dof), f"poses {owner}", MeasurementError)
+        array_of(source.readings, ("N", count), f"readings {owner}", MeasurementError)
         return source
     every_row, setup, named = _related(source, setup, pairs)
     further = setup.columns(mechanism)

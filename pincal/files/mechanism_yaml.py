@@ -18,10 +18,10 @@ from pincal.errors import MechanismError, located
 from pincal.files.text import plain_number
 from pincal.files.urdf import read_leg, read_points
 from pincal.files.urdf_writing import leg_links
-from pincal.files.yaml import Entry, read_yaml
+from pincal.files.yaml import Entry, Readers, read_yaml
 from pincal.model.checks import LARGEST
 from pincal.model.consistency import check_home
-from pincal.model.joint import Closing, End, Joint
+from pincal.model.joint import End, Joint
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate
@@ -95,7 +95,7 @@ def _platform(entry: Entry) -> Platform:
     if isinstance(kind.value, dict):
         parts = kind.keys(("name", "freedoms"))
         kind, twist = parts["name"], [freedom.text() for freedom in parts["freedoms"].items()]
-    home = {key: part.number() for key, part in keys["home"].pairs().items()}
+    home = keys["home"].mapped(Entry.number)
     platform = Platform(kind.text(), tuple(home.values()), tuple(twist))
     if tuple(home) != platform.coordinates:
         raise MechanismError(
@@ -104,20 +104,14 @@ def _platform(entry: Entry) -> Platform:
     return platform
 
 
-def _texts(entry: Entry | None) -> dict[str, str]:
-    return {name: part.text() for name, part in entry.pairs().items()} if entry else {}
-
-
 def _drawn(entry: Entry) -> tuple[tuple[str, float], ...]:
-    return tuple((name, part.number()) for name, part in entry.pairs().items())
+    return tuple(entry.mapped(Entry.number).items())
 
 
 def read_mechanism(folder: Path) -> Mechanism:
     """Return what a folder's ``mechanism.yaml`` and the URDFs that it names say together."""
-    needed, known = (
-        ("pincal", "name", "platform", "legs"),
-        ("description", "labels", "load", "cables"),
-    )
+    needed = ("pincal", "name", "platform", "legs")
+    known = ("description", "labels", "load", "cables")
     keys = read_yaml(inside(folder, YAML), MechanismError).keys(needed, known)
     keys["pincal"].choice(FORMAT)
     platform = _platform(keys["platform"])
@@ -128,7 +122,7 @@ def read_mechanism(folder: Path) -> Mechanism:
         platform,
         legs,
         keys["description"].text() if "description" in keys else "",
-        tuple(_texts(keys.get("labels")).items()),
+        tuple(keys["labels"].mapped(Entry.text).items()) if "labels" in keys else (),
         keys["load"].built(Load, drawn=_drawn) if "load" in keys else None,
         keys["cables"].built(Cables) if "cables" in keys else None,
     )
@@ -138,24 +132,23 @@ def read_mechanism(folder: Path) -> Mechanism:
     return mechanism
 
 
-def _joint_fault(
-    named: Iterable[str], home: Mapping[str, float], joints: Sequence[Joint], urdf: str
-) -> str:
-    """Return which joints a leg names that its URDF does not have, or not though they move."""
+def _check_joints(
+    leg: str, named: Iterable[str], home: Mapping[str, float], joints: Sequence[Joint], urdf: str
+) -> None:
+    """Raise if a leg names joints that its URDF does not have, or not all that move."""
     known = [joint.name for joint in joints]
     for name in named:
         if name not in known:
-            chain = ", ".join(known[:-1])
-            return (
-                f"unknown joint {name!r}; {urdf} has {chain}, the platform point is {known[-1]!r}"
+            raise MechanismError(
+                f"{leg}: unknown joint {name!r}; {urdf} has {', '.join(known[:-1])}, the platform "
+                f"point is {known[-1]!r}"
             )
     moving = [j.name for j in joints if j.kind != "fixed" and j.follows is None]
-    if set(home) == set(moving):
-        return ""
-    return (
-        f"'home' gives {', '.join(home) or 'nothing'}; it needs the home position of each moving "
-        f"joint: {', '.join(moving)}"
-    )
+    if set(home) != set(moving):
+        raise MechanismError(
+            f"{leg}: 'home' gives {', '.join(home) or 'nothing'}; it needs the home position of "
+            f"each moving joint: {', '.join(moving)}"
+        )
 
 
 def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
@@ -164,24 +157,22 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
     keys = entry.keys((*needed, "placements"), ("closes", "terms", "ends", "ratios"))
     name = keys["name"].name()
     point, placements = points[keys["platform_point"].choice(*points)], keys["placements"].pairs()
-    home = {joint: part.number() for joint, part in keys["home"].pairs().items()}
-    parameters = keys["parameters"].pairs()
-    for parameter in parameters:
+    home = keys["home"].mapped(Entry.number)
+    for parameter, part in keys["parameters"].pairs().items():
         if not parameter.isidentifier():
-            parameters[parameter].refuse("a parameter's name is letters, digits and _")
+            part.refuse("a parameter's name is letters, digits and _")
     of_parameters = keys["terms"].pairs() if "terms" in keys else {}
-    ratios = _texts(keys.get("ratios"))
+    ratios = keys["ratios"].mapped(Entry.text) if "ratios" in keys else {}
     read: Any = {"zero": _zero, "terms": lambda part: _terms(part, name)}
     read["form"] = lambda part: part.choice("joint", "reading")
     read["direction"] = lambda part: part.choice(1, -1)
     sensors = tuple(item.built(Sensor, "joint", **read) for item in keys["sensors"].items())
-    ends = _ends(keys.get("ends"), points)
+    ends = tuple(_end(item, points) for item in keys["ends"].items()) if "ends" in keys else ()
     path = inside(folder, keys["urdf"].text())
     joints, ends = read_leg(path, keys["tip"].text(), ends)
-    met = [end.meets for end in ends if isinstance(end.meets, Joint)]
+    met = [end.point for end in ends if end.point is not None]
     named = (*placements, *home, *ratios, *(sensor.joint for sensor in sensors))
-    if fault := _joint_fault(named, home, (*joints, *met, point), path.name):
-        raise MechanismError(f"{name}: {fault}")
+    _check_joints(name, named, home, (*joints, *met, point), path.name)
 
     def placed(joint: Joint) -> Joint:
         place = f"{name}, placement of {joint.name!r}"
@@ -206,22 +197,23 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
     )
 
 
-def _ends(entry: Entry | None, points: Mapping[str, Joint]) -> tuple[End, ...]:
-    """Return the further ends of a leg, which name links of its URDF."""
-    ends = []
-    for item in entry.items() if entry else ():
-        keys = item.keys(("tip",), ("platform_point", "meets", "closes"))
-        if ("meets" in keys) == ("platform_point" in keys):
-            item.fail("an end has either 'platform_point' or, of a loop within the leg, 'meets'")
-        closes: Closing | tuple[str, ...] = "point"
-        if "closes" in keys and isinstance(keys["closes"].value, list):
-            closes = tuple(row.choice(*TWIST) for row in keys["closes"].items(least=1))
-        elif "closes" in keys:
-            closes = keys["closes"].choice("point", "frame")
-        point = keys["platform_point"].choice(*points) if "platform_point" in keys else ""
-        meets = points[point] if point else keys["meets"].text()
-        ends.append(End(keys["tip"].text(), meets, closes))
-    return tuple(ends)
+def _end(entry: Entry, points: Mapping[str, Joint]) -> End:
+    """Return a further end of a leg, which names links of its URDF."""
+    readers: Readers = {
+        "tip": Entry.text,
+        "platform_point": lambda part: points[part.choice(*points)],
+        "meets": Entry.text,
+        "closes": lambda part: (
+            tuple(row.choice(*TWIST) for row in part.items(least=1))
+            if isinstance(part.value, list)
+            else part.choice("point", "frame")
+        ),
+    }
+    values = entry.values(readers, ("tip",))
+    if ("meets" in values) == ("platform_point" in values):
+        entry.fail("an end has either 'platform_point' or, of a loop within the leg, 'meets'")
+    meets = values.get("platform_point") or values["meets"]
+    return End(values["tip"], meets, values.get("closes", "point"))
 
 
 def inside(folder: Path, name: str) -> Path:

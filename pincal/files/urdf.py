@@ -223,10 +223,8 @@ def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
     joint = Joint(name, KINDS[kind], placement, (x, y, z), lower, upper)
     if (mimic := element.find("mimic")) is None:
         return joint
-    ratio, offset = (
-        _number(mimic.get(key, default), place)
-        for key, default in (("multiplier", "1"), ("offset", "0"))
-    )
+    ratio = _number(mimic.get("multiplier", "1"), place)
+    offset = _number(mimic.get("offset", "0"), place)
     if ratio == 0.0:
         return replace(joint, lower=offset, upper=offset)
     return replace(joint, follows=Follows(mimic.get("joint", ""), ratio, offset))
@@ -276,12 +274,13 @@ def _limits(element: etree._Element, name: str, place: str) -> tuple[float, floa
     limit = element.find("limit")
     if limit is None or (limit.get("lower") is None and limit.get("upper") is None):
         return -np.inf, np.inf
-    lower, upper = (plain_number(limit.get(key, "0")) for key in ("lower", "upper"))
+    ends = [limit.get(key, "0") for key in ("lower", "upper")]
+    lower, upper = map(plain_number, ends)
     if max(abs(lower), abs(upper)) > LARGEST:
         return -np.inf, np.inf
-    for key, value in (("lower", lower), ("upper", upper)):
+    for text, value in zip(ends, (lower, upper), strict=True):
         if np.isnan(value):
-            raise MechanismError(f"{place}: {why_no_number(limit.get(key, '0'))}")
+            raise MechanismError(f"{place}: {why_no_number(text)}")
     if lower > upper:
         raise MechanismError(
             f"{place}: joint {name!r} has limits {lower:g} to {upper:g}; lower must be below upper"

@@ -21,9 +21,9 @@ def leg_urdf(leg: Leg) -> str:
     size = _size(leg)
     read = {sensor.joint for sensor in leg.sensors}
     links = leg_links(leg)
-    link = etree.SubElement(robot, "link", name=links[0])
-    elements = [link]
-    _visual(link, "grey", "box", size=(3 * size, 3 * size, size), xyz=leg.joints[0].placement.xyz)
+    elements = [etree.SubElement(robot, "link", name=links[0])]
+    foot = (3 * size, 3 * size, size)
+    _visual(elements[0], "grey", "box", size=foot, xyz=leg.joints[0].placement.xyz)
     for index, joint in enumerate(leg.joints):
         carrier = leg.carriers[index] + 1
         if not np.allclose(joint.placement.xyz, 0.0) and carrier > 0:
@@ -35,11 +35,11 @@ def leg_urdf(leg: Leg) -> str:
             etree.SubElement(inertial, "mass", value=numbers_text([joint.mass]))
             moments = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
             etree.SubElement(inertial, "inertia", moments)  # nothing accelerates
-        colour, along = "orange" if joint.name in read else "blue", _axis_rpy(joint.axis)
+        colour, axis = "orange" if joint.name in read else "blue", joint.axis
         if joint.kind == "revolute":
-            _visual(link, colour, "cylinder", radius=size, length=3 * size, rpy=along)
+            _visual(link, colour, "cylinder", along=axis, radius=size, length=3 * size)
         elif joint.kind == "prismatic":  # longer than what it carries is wide
-            _visual(link, colour, "box", size=(2 * size, 2 * size, 4 * size), rpy=along)
+            _visual(link, colour, "box", along=axis, size=(2 * size, 2 * size, 4 * size))
         else:
             _visual(link, "blue", "sphere", radius=size)
         joint_element(robot, joint, links[carrier], links[index + 1])
@@ -105,16 +105,9 @@ def joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) 
 
 def _rod(link: etree._Element, end: Triple, size: float) -> None:
     """Add a cylinder from the link's origin to a point of it."""
-    x, y, z = end
-    length, rpy = float(np.linalg.norm(end)), _axis_rpy(end)
+    (x, y, z), length = end, float(np.linalg.norm(end))
     middle = (x / 2, y / 2, z / 2)
-    _visual(link, "grey", "cylinder", radius=size / 2, length=length, xyz=middle, rpy=rpy)
-
-
-def _axis_rpy(axis: Triple) -> Triple:
-    """Return the roll-pitch-yaw that turns z onto an axis."""
-    x, y, z = axis
-    return (0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x)))
+    _visual(link, "grey", "cylinder", xyz=middle, along=end, radius=size / 2, length=length)
 
 
 def _visual(
@@ -123,10 +116,12 @@ def _visual(
     shape: str,
     *,
     xyz: Triple = Placement.xyz,
-    rpy: Triple = Placement.rpy,
+    along: Triple = (0.0, 0.0, 1.0),
     **size: float | Triple,
 ) -> None:
-    """Add a shape to a link; lengths in [m] and angles in [rad], rounded for reading."""
+    """Add a shape to a link, its z along a vector; lengths in [m], rounded for reading."""
+    x, y, z = along
+    rpy = (0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x)))
     visual = etree.SubElement(link, "visual")
     if any((*xyz, *rpy)):
         etree.SubElement(visual, "origin", xyz=_rounded(xyz), rpy=_rounded(rpy))

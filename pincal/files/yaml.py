@@ -113,6 +113,10 @@ class Entry:
             entries[name] = entry
         return entries
 
+    def mapped(self, reader: Callable[[Entry], T]) -> dict[str, T]:
+        """Return what a reader makes of each entry of a mapping, by its key."""
+        return {key: reader(part) for key, part in self.pairs().items()}
+
     def keys(
         self, needed: Sequence[str], known: Sequence[str] = (), *, others: bool = False
     ) -> dict[str, Entry]:

@@ -88,9 +88,9 @@ def corrected(T: Row) -> Row:
     offset = [T[i] - home[i] for i in (3, 7, 11)] + rotation_vector(compose(T, inverted(home)))
     count, dof, corners = grid["count"], len(MACHINE["twist"]), [(0, 1.0)]
     for row, low, high in zip(MACHINE["twist"], grid["low"], grid["high"], strict=True):
-        at = min(max((offset[row] - low) / (high - low), 0.0), 1.0) * (count - 1)
-        cell = min(int(at), count - 2)
-        sides = (cell, 1.0 - at + cell), (cell + 1, at - cell)
+        place = min(max((offset[row] - low) / (high - low), 0.0), 1.0) * (count - 1)
+        cell = min(int(place), count - 2)
+        sides = (cell, 1.0 - place + cell), (cell + 1, place - cell)
         corners = [(node * count + i, w * share) for node, w in corners for i, share in sides]
     values = grid["twists"]
     return displaced(T, [sum(w * values[n * dof + i] for n, w in corners) for i in range(dof)])
@@ -332,14 +332,12 @@ def _chain(chain: dict[str, Any], values: Row) -> tuple[Row, list[Move]]:
     T, moves = chain["start"], []
     for turns, axis, _, rates, behind in chain["moves"]:
         position = sum(rate * values[source] for source, rate in rates)
-        moves.append(Move(turns, rotated(T, axis), [T[3], T[7], T[11]], rates))
-        shift = [position * component for component in axis]
-        motion = (
-            turned(axis, position)
-            if turns
-            else [1, 0, 0, shift[0], 0, 1, 0, shift[1], 0, 0, 1, shift[2]]
-        )
-        T = compose(compose(T, motion), behind)
+        along = [_dot(T[i : i + 3], axis) for i in (0, 4, 8)]
+        moves.append(Move(turns, along, [T[3], T[7], T[11]], rates))
+        T = compose(T, turned(axis, position)) if turns else list(T)
+        for i in range(0 if turns else 3):
+            T[4 * i + 3] += position * along[i]
+        T = compose(T, behind)
     return T, moves
 
 
@@ -404,7 +402,7 @@ def _reading(sensor: dict[str, Any], position: float, known: Row) -> tuple[float
     step = 0.0
     for _ in range(50 * bool(sensor["terms"])):
         slope = sensor["slope"] + sum(
-            a * _slope(form, reading) for a, place, *form in sensor["terms"] if place < 0
+            a * _basis(form, reading, True) for a, place, *form in sensor["terms"] if place < 0
         )
         step = (position - _position(sensor, reading, known)) / (slope or 1e-300)
         reading += step
@@ -421,20 +419,15 @@ def _deformations(leg: dict[str, Any], known: Row) -> Row:
     ]
 
 
-def _basis(form: Row, value: float) -> float:
-    """Return the value of a term's function; 0 where its influence is not known."""
+def _basis(form: Row, value: float, slope: bool = False) -> float:
+    """Return a term's function, or its derivative; 0 where its influence is not known."""
     a, b, exponent = form
     if not isfinite(value):
         return 0.0
-    return float(((value - b) / a) ** exponent) if exponent else sin(a * value + b)
-
-
-def _slope(form: Row, value: float) -> float:
-    """Return the derivative of a term's function."""
-    a, b, exponent = form
-    if exponent:
-        return float(exponent / a * ((value - b) / a) ** (exponent - 1))
-    return a * cos(a * value + b)
+    if not exponent:
+        return a * cos(a * value + b) if slope else sin(a * value + b)
+    relative = (value - b) / a
+    return float(exponent / a * relative ** (exponent - 1) if slope else relative**exponent)
 
 
 def _with_loads(known: Row, readings: Row) -> Row:
@@ -465,8 +458,8 @@ def _turn_back(leg: dict[str, Any], q: Row, centre: Row, within_limits: bool) ->
         if turns and isfinite(q[i]):
             q[i] = _near(q[i], centre[i])
             if within_limits and not low - 1e-9 <= q[i] <= high + 1e-9:
-                back = low - 1e-9 + (q[i] - low + 1e-9) % (2.0 * pi)
-                q[i] = back if back <= high + 1e-9 else q[i]
+                unwound = low - 1e-9 + (q[i] - low + 1e-9) % (2.0 * pi)
+                q[i] = unwound if unwound <= high + 1e-9 else q[i]
 
 
 def _near(angle: float, centre: float) -> float:
@@ -527,8 +520,8 @@ def _back_substituted(A: Matrix, n: int) -> Row:
     """Return x of the triangle R x = b, b being the last column."""
     x = [0.0] * n
     for i in reversed(range(min(n, len(A)))):
-        rest = A[i][-1] - sum(A[i][j] * x[j] for j in range(i + 1, n))
-        x[i] = rest / A[i][i] if A[i][i] else 0.0
+        remainder = A[i][-1] - sum(A[i][j] * x[j] for j in range(i + 1, n))
+        x[i] = remainder / A[i][i] if A[i][i] else 0.0
     return x
 
 
@@ -568,11 +561,6 @@ def turned(axis: Any, angle: float) -> Row:
     first = [c + x * x * d, x * y * d - z * s, x * z * d + y * s, 0.0]
     second = [y * x * d + z * s, c + y * y * d, y * z * d - x * s, 0.0]
     return [*first, *second, z * x * d - y * s, z * y * d + x * s, c + z * z * d, 0.0]
-
-
-def rotated(T: Row, vector: Any) -> Row:
-    """Return a vector turned as a rigid transform turns."""
-    return [_dot(T[i : i + 3], vector) for i in (0, 4, 8)]
 
 
 def rotation_vector(T: Row) -> Row:

@@ -144,7 +144,7 @@ class CorrectionGrid:
 
 
 def correction_grid(
-    mechanism: Mechanism, controller: Mechanism, plan: Plan, most: int
+    mechanism: Mechanism, controller: Mechanism, plan: Plan, most_nodes: int
 ) -> CorrectionGrid:
     """Return a grid of at most so many nodes, fitted to corrections at a plan's poses.
 
@@ -165,7 +165,7 @@ def correction_grid(
         raise MechanismError(f"no pose to correct for {mechanism.name!r}: {lacking.reasons[0]}")
     poses, commands = lacking.plan.poses[known], lacking.commands[known]
     offsets = platform.twists_between(np.tile(platform.home, (len(poses), 1)), poses)
-    count = max(2, int(most ** (1.0 / platform.dof) + ROUNDING))
+    count = max(2, int(most_nodes ** (1.0 / platform.dof) + ROUNDING))
     nothing = np.zeros((count**platform.dof, platform.dof))
     grid = CorrectionGrid(platform, offsets.min(axis=0), offsets.max(axis=0), nothing)
     corners = grid.corners(poses).tocsr()

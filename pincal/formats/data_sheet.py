@@ -248,12 +248,12 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
         values |= {"shinlength": lengths[1], "footradius": foot}
         start, unit, scale = start + signs * zeros, "deg", np.degrees(1.0)
     c, s = np.cos(turn), np.sin(turn)
-    at = -1e3 * np.array([c * x + s * y, c * y - s * x, z * turning])
-    usual, most = 1e3 * np.quantile(missed, 0.95), 1e3 * missed.max()
+    origin = -1e3 * np.array([c * x + s * y, c * y - s * x, z * turning])
+    usual, largest = 1e3 * np.quantile(missed, 0.95), 1e3 * missed.max()
     lines = [
         f"# {kind} of {mechanism.name} [mm]: INI [KINS] JOINTS = 3, KINEMATICS = {kind}",
         f"# these parameters are all that {kind} holds: it misses poses by {usual:.4f} mm (95 %), "
-        f"{most:.4f} mm at most",
+        f"{largest:.4f} mm at most",
         *(f"setp {kind}.{name} {1e3 * value:.9f}" for name, value in values.items()),
     ]
     for joint, leg in enumerate(legs):
@@ -261,7 +261,7 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
         reading = f"reading of {leg.name} [{unit}]"
         lines.append(f"# joint {joint} [{unit}] = {zero:.9f} + {rate:.12f} × {reading}")
     lines.append(
-        f"# the machine's base frame as a work offset: G10 L2 P1 X{at[0]:.9f} Y{at[1]:.9f} "
-        f"Z{at[2]:.9f} R{np.degrees(-turn):.9f}"
+        f"# the machine's base frame as a work offset: G10 L2 P1 X{origin[0]:.9f} Y{origin[1]:.9f} "
+        f"Z{origin[2]:.9f} R{np.degrees(-turn):.9f}"
     )
     return "\n".join(lines) + "\n"

@@ -79,6 +79,11 @@ class Deployed:
     grid: CorrectionGrid | None = None
     """Corrections of poses for a controller that knows another machine."""
 
+    @property
+    def title(self) -> str:
+        """What the files are."""
+        return f"Kinematics of {_plain(self.mechanism.name)}, written by pincal {__version__}."
+
     @cached_property
     def tables(self) -> Table:
         """The tables of the machine, of which forward kinematics say the assembly mode of home."""
@@ -116,7 +121,7 @@ class Deployed:
 def python_file(deployed: Deployed) -> str:
     """Return the kinematics of a machine as the text of a Python file."""
     literal = re.sub(r"\binf\b", 'float("inf")', pformat(deployed.tables, width=96, compact=True))
-    source = _TEMPLATE.read_text("utf-8").replace('"""', f'"""{_title(deployed)}\n\n', 1)
+    source = _TEMPLATE.read_text("utf-8").replace('"""', f'"""{deployed.title}\n\n', 1)
     return source.replace(_PLACE, f"MACHINE: dict[str, Any] = {literal}\n")
 
 
@@ -132,10 +137,6 @@ def c_header(deployed: Deployed, prefix: str) -> str:
     chains = [chain for leg in legs for end in leg["ends"] for chain in (end["tip"], end["frame"])]
     chains += [chain for _, chain in load["bodies"]]
     reduced = sum(leg["rows"] - len(leg["passive"]) for leg in legs)
-    tall = [
-        leg["rows"] + (len(leg["unknown"]) if leg["rows"] < len(leg["unknown"]) else 0)
-        for leg in legs
-    ]
     sizes = {
         "LEGS": len(legs),
         "DOF": len(tables["twist"]),
@@ -145,7 +146,7 @@ def c_header(deployed: Deployed, prefix: str) -> str:
         "JOINTS": sum(len(leg["joints"]) for leg in legs),
         "INFLUENCES": len(tables["influences"]),
         "MOST": max(len(leg["joints"]) + len(leg["deformations"]) for leg in legs),
-        "TALL": max(*tall, reduced),
+        "TALL": max(reduced, *(leg["rows"] + len(leg["unknown"]) for leg in legs)),
         "REDUCED": max(reduced, 1),
         "MOVES": max(1, *(len(chain["moves"]) for chain in chains)),
         "LOAD_WIDTH": load["width"],
@@ -158,13 +159,9 @@ def c_header(deployed: Deployed, prefix: str) -> str:
         if name in tables
     )
     text = _TEMPLATE.with_suffix(".h").read_text("utf-8")
-    text = text.replace("/* ", f"/* {_title(deployed)}\n\n   ", 1)
+    text = text.replace("/* ", f"/* {deployed.title}\n\n   ", 1)
     text = text.replace("/* SIZES */", defined).replace("/* TABLES */", values)
     return text.replace("machine_", f"{prefix}_").replace("MACHINE_", f"{prefix.upper()}_")
-
-
-def _title(deployed: Deployed) -> str:
-    return f"Kinematics of {_plain(deployed.mechanism.name)}, written by pincal {__version__}."
 
 
 def _plain(text: str) -> str:
@@ -325,10 +322,8 @@ def _form(closure: LegClosure) -> Table:
 def _load(machine: Mechanism) -> Table:
     """Return what weighs on an arm as drawn, and which influences its loads are."""
     if not machine.weighs or not machine.loaded:
-        counted = {"active": "int", "sensors": "machine_sensor", "bodies": "machine_body"}
-        counted["columns"] = "machine_load_column"
-        nothing = {name: Several(kind, ()) for name, kind in counted.items()}
-        return {"gravity": [0.0] * 3, "width": 1, **nothing}
+        counted = ("active", "sensors", "bodies", "columns")
+        return {"gravity": [0.0] * 3, "width": 1, **{name: Several("", ()) for name in counted}}
     drawing, load = machine.drawing, machine.load or Load()
     leg, n = drawing.legs[0], len(drawing.legs[0].moving)
     owners = [name.removeprefix(f"{LOAD}_") for name in machine.loaded]

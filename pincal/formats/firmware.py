@@ -249,10 +249,10 @@ class _Options(configparser.RawConfigParser):
         every, count = [*heights, *distances], len(heights)
         steps = np.reshape([end for _, ends in every for end in ends], (-1, 3))
         readings = steps * ([_MM * self._way_per_step(name) for name in _STEPPERS] if every else 1)
-        z, apart = np.full((2, len(readings)), np.nan)
+        z, spans = np.full((2, len(readings)), np.nan)
         z[:count] = [_MM * height for height, _ in heights]
-        apart[count + 1 :: 2] = [_MM * distance for distance, _ in distances]
-        sizes = np.abs(np.column_stack((z, apart, readings)))
+        spans[count + 1 :: 2] = [_MM * distance for distance, _ in distances]
+        sizes = np.abs(np.column_stack((z, spans, readings)))
         if not (np.isnan(sizes) | (sizes <= LARGEST)).all():
             raise MechanismError(
                 "a height or distance of [delta_calibrate], or its steps times their way, is no "
@@ -262,9 +262,9 @@ class _Options(configparser.RawConfigParser):
         if not distances:
             return Measurements(poses=poses, readings=readings)
         names = tuple(str(1 + row) for row in range(len(readings)))
-        led_to = (str(row) if np.isfinite(apart[row]) else "" for row in range(len(names)))
+        led_to = (str(row) if np.isfinite(spans[row]) else "" for row in range(len(names)))
         contacts = {ROW: names, f"distance_1{TO}": tuple(led_to)}
-        extra = {"distance_1": apart}
+        extra = {"distance_1": spans}
         return Measurements(poses=poses, readings=readings, extra=extra, contacts=contacts)
 
     def _saved(self, kind: str, *ends: str) -> list[tuple[float, list[list[float]]]]:

@@ -180,9 +180,9 @@ class _Graph:
                 f"the base {root!r} lies in no loop; is another link the base (--base)?"
             )
         forward = self.body[first.parent] == self.body[root]
-        others = [*self.tree.fixed, *(bond for bond in self.bonds if bond is not first)]
-        back = route(others, first.child if forward else first.parent, root)
-        return [(first, forward), *(step for step in back if step[0].moves)]
+        passable = [*self.tree.fixed, *(bond for bond in self.bonds if bond is not first)]
+        steps = route(passable, first.child if forward else first.parent, root)
+        return [(first, forward), *(step for step in steps if step[0].moves)]
 
     def pieces(self, cut: set[str]) -> list[list[Edge]]:
         """Return the bonds of each piece into which the graph falls where it is cut.

@@ -26,11 +26,11 @@ def read_setup(source: Setup | str | Path) -> Setup:
     readers: Readers = {
         "pincal_setup": lambda part: part.choice(1),
         "frame": lambda part: part.choice("base", "unknown"),
-        "targets": lambda part: {name: p.built(Target) for name, p in part.pairs().items()},
-        "distances": lambda part: {name: _distance(p) for name, p in part.pairs().items()},
-        "contacts": lambda part: {name: _contact(p) for name, p in part.pairs().items()},
+        "targets": lambda part: part.mapped(lambda p: p.built(Target)),
+        "distances": lambda part: part.mapped(_distance),
+        "contacts": lambda part: part.mapped(_contact),
         "mark": Entry.name,
-        "columns": lambda part: {name: p.text() for name, p in part.pairs().items()},
+        "columns": lambda part: part.mapped(Entry.text),
         "tracker": lambda part: part.built(Tracker),
         "systematic": lambda part: part.built(Systematic),
         "corners": lambda part: str(path.parent / part.text()),
@@ -50,8 +50,7 @@ def read_setup(source: Setup | str | Path) -> Setup:
 
 
 def _points(part: Entry) -> dict[str, Vector | None]:
-    named = part.pairs().items()
-    return {name: None if p.value == "unknown" else p.vector() for name, p in named}
+    return part.mapped(lambda p: None if p.value == "unknown" else p.vector())
 
 
 def _contact(entry: Entry) -> Contact:
@@ -93,9 +92,7 @@ def _lens(entry: Entry, name: str) -> Lens:
         "distortion": lambda part: tuple(item.number() for item in part.items(0, 8)),
         "fisheye": Entry.flag,
         "unknown": lambda part: (
-            part.value
-            if isinstance(part.value, bool)
-            else {key: p.number() for key, p in part.pairs().items()}
+            part.value if isinstance(part.value, bool) else part.mapped(Entry.number)
         ),
         "focus": pair,
     }
