@@ -97,21 +97,7 @@ def add_rows(
         FileError: the table cannot be read or written, or holds rows that are made otherwise.
         PincalError: no scheduler or worker answers, or processes end before a row is made.
     """
-    columns, keys = file.read(), file.columns[: len(items[0])]
-    places = _places(columns, keys)
-    for item in [item for item in items if item in places][:1]:
-        (row,) = _rows_of(make_row, keys, [item])  # anew: it must be as it is there
-        pairs = [(row[name], columns[name][places[item]]) for name in columns if name in row]
-        if not all(
-            v == held if isinstance(v, str) else np.isclose(v, held, _ROUNDING, 1e-12, True)
-            for v, held in pairs
-        ):
-            raise FileError(
-                f"{file.path} holds other rows: that of {item[0]} is another by this mechanism and "
-                "these options; move it away, or name another"
-            )
-    file.add([])
-    waiting = [item for item in items if item not in places]
+    waiting, keys = _without_rows(make_row, items, file), file.columns[: len(items[0])]
     size = min(max(len(waiting) // _SHARES, 1), _LARGEST)
     while before := len(waiting):
         shares = [waiting[start : start + size] for start in range(0, before, size)]
@@ -143,6 +129,25 @@ def error_columns(mechanism: Mechanism, last: str) -> list[str]:
 def _places(columns: Columns, keys: Sequence[str]) -> dict[Item, int]:
     """Return the place of each item's row."""
     return {item: row for row, item in enumerate(zip(*(columns[k] for k in keys), strict=True))}
+
+
+def _without_rows(make_row: Callable[..., Row], items: Sequence[Item], file: RowFile) -> list[Item]:
+    """Return items without a row; one of the others is made again, and must be as it is there."""
+    columns, keys = file.read(), file.columns[: len(items[0])]
+    places = _places(columns, keys)
+    file.add([])
+    if done := [item for item in items if item in places][:1]:
+        (row,), place = _rows_of(make_row, keys, done), places[done[0]]
+        pairs = [(row[name], values[place]) for name, values in columns.items() if name in row]
+        if not all(
+            v == held if isinstance(v, str) else np.isclose(v, held, _ROUNDING, 1e-12, True)
+            for v, held in pairs
+        ):
+            raise FileError(
+                f"{file.path} holds other rows: that of {done[0][0]} is another by this mechanism "
+                "and these options; move it away, or name another"
+            )
+    return [item for item in items if item not in places]
 
 
 def _rows_of(make_row: Callable[..., Row], keys: Sequence[str], items: Sequence[Item]) -> list[Row]:

@@ -189,6 +189,7 @@ def _source(options: SourceOptions) -> Iterator[Ask | None]:
                 with line.makefile("rw", encoding="utf-8", newline="\n") as stream:
                     yield lambda points: _line(stream, points)
         else:
+            say(*[_HELP] * options.terminal)
             yield None
     except FileError:
         raise
@@ -228,46 +229,58 @@ def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Loc
     """
     on_page, off = not source.terminal, 0
     attended = ask is None or on_page or sys.stdin.isatty()
-    if ask is None and not on_page:
-        say(_HELP)
     while ask or not on_page:
+        doubted = session.questioned or session.doubtful
         if ask and session.enough and not session.doubtful:
             break
-        if session.questioned and on_page:
-            time.sleep(_WAIT)
-            continue
-        if not attended and (session.questioned or session.doubtful):
+        if doubted and not attended:
             _settle(session, keep=off > 1)
-            continue
-        row, gain = session.next_pose()
-        exhausted = not session.candidates.fresh(session.measured).any()
-        if ask and not session.questioned and (exhausted or off >= _OFF):
-            last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
-            fail(1, f"{last}, and it is not enough")
-        if session.questioned:
-            line = input("u: undo it, k: keep it > ")
+        elif session.questioned and on_page:
+            time.sleep(_WAIT)
         else:
-            points = set_points(session, row)
-            falls = f"; errors fall by {percent(gain)}" * (gain > 0.0)
-            say(f"\npose {row + 1} of {len(session.plan)}{falls}. Drive to")
-            say("  " + ", ".join(f"{head} {value:.7g}" for head, value in points.items()))
-            say(f"  then {', '.join(session.observed or session.columns)}:")
-            line = ask(points) if ask else input("> ")
-        if line.split() == ["q"]:
-            return
-        if line.split() == ["p"]:
-            stdout.print(session.result.tables()[0] if session.result else "nothing is known yet")
-        elif line.strip():
-            try:
-                with lock:
-                    say(*obeyed(session, line, row, source.pattern))
-            except (MeasurementError, FileError) as error:
-                if ask:
-                    raise
-                warn(str(error))
-        off = off + 1 if session.questioned else 0
+            row, line = _asked(session, ask, off)
+            with lock:
+                _take(session, line, row, source.pattern, strict=ask is not None)
+            off = off + 1 if session.questioned else 0
     if on_page:
         Event().wait()
+
+
+def _asked(session: Session, ask: Ask | None, off: int) -> tuple[int, str]:
+    """Return the row of the plan that is next, and what a source or the user answers there."""
+    row, gain = session.next_pose()
+    if session.questioned:
+        return row, input("u: undo it, k: keep it > ")
+    exhausted = not session.candidates.fresh(session.measured).any()
+    if ask and (exhausted or off >= _OFF):
+        last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
+        fail(1, f"{last}, and it is not enough")
+    points = set_points(session, row)
+    falls = f"; errors fall by {percent(gain)}" * (gain > 0.0)
+    say(f"\npose {row + 1} of {len(session.plan)}{falls}. Drive to")
+    say("  " + ", ".join(f"{head} {value:.7g}" for head, value in points.items()))
+    say(f"  then {', '.join(session.observed or session.columns)}:")
+    return row, ask(points) if ask else input("> ")
+
+
+def _take(session: Session, line: str, row: int, pattern: str | None, *, strict: bool) -> None:
+    """Do what a line says; what is none is said, or, of a source, ends the command.
+
+    Raises:
+        EOFError: it says to leave.
+    """
+    match line.split():
+        case ["q"]:
+            raise EOFError
+        case ["p"]:
+            stdout.print(session.result.tables()[0] if session.result else "nothing is known yet")
+        case [_, *_]:
+            try:
+                say(*obeyed(session, line, row, pattern))
+            except (MeasurementError, FileError) as error:
+                if strict:
+                    raise
+                warn(str(error))
 
 
 def _settle(session: Session, *, keep: bool) -> None:

@@ -160,19 +160,7 @@ def select(
         selection = _of_legs(mechanism, offered, choice, search)
     if selection.unreachable:
         _log.info("%d candidate poses are out of reach and left out", selection.unreachable)
-    plan = selection.plan
-    if choice.verify:
-        plan = with_verification(mechanism, plan, offered, choice.verify, choice.seed)
-        _log.info("%d more poses, in the set 'verify', are kept for verification", choice.verify)
-    rows, blocked = len(plan), choice.blocked(moving_points(mechanism, plan, setup))
-    plan = in_rounds(mechanism, plan, choice.rounds, choice.reference, choice.seed, blocked)
-    if repeated := len(plan) - rows:
-        _log.info("one pose is measured %d times more, as the pose 'reference'", repeated)
-    if blocked.any():
-        ways = np.diagonal(choice.blocked(moving_points(mechanism, plan, setup)), 1)
-        if through := [f"{row + 1} to {row + 2}" for row in np.flatnonzero(ways)]:
-            _log.info("ways through what is kept out: from row %s", listed(through))
-    return replace(selection, plan=with_distances(plan, choice.distances))
+    return replace(selection, plan=_driven(mechanism, selection.plan, offered, choice, setup))
 
 
 def _of_legs(
@@ -245,6 +233,24 @@ def sampled(
             "planned with %s: give places in the setup if they are elsewhere", listed(planned)
         )
     return plan
+
+
+def _driven(
+    mechanism: Mechanism, plan: Plan, offered: Plan, choice: PlanningOptions, setup: Setup
+) -> Plan:
+    """Return a plan with poses to verify with and distances, in the order in which it is driven."""
+    if choice.verify:
+        plan = with_verification(mechanism, plan, offered, choice.verify, choice.seed)
+        _log.info("%d more poses, in the set 'verify', are kept for verification", choice.verify)
+    rows, blocked = len(plan), choice.blocked(moving_points(mechanism, plan, setup))
+    plan = in_rounds(mechanism, plan, choice.rounds, choice.reference, choice.seed, blocked)
+    if repeated := len(plan) - rows:
+        _log.info("one pose is measured %d times more, as the pose 'reference'", repeated)
+    if blocked.any():
+        ways = np.diagonal(choice.blocked(moving_points(mechanism, plan, setup)), 1)
+        if through := [f"{row + 1} to {row + 2}" for row in np.flatnonzero(ways)]:
+            _log.info("ways through what is kept out: from row %s", listed(through))
+    return with_distances(plan, choice.distances)
 
 
 def with_reading_noise(noise: Noise, mechanism: Mechanism) -> Noise:
