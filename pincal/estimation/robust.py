@@ -54,10 +54,10 @@ def _under_loss(system: System, loss: Loss, begin: Linear, *, near: bool) -> tup
     From nominal parameters by Cauchy's loss, which forgets no row, then, if rows are rejected, by
     Tukey's. Near the optimum under the same loss, at other noise, the beginning says the scale.
     """
-    problem, first = system.problem, None
+    problem, fits = system.problem, list[Fit]()
     if not near:
-        coarse = fit(replace(system, loss=LOSSES["cauchy"]), begin)
-        linear, scale, first = coarse.last, coarse.scale, coarse.first
+        fits.append(fit(replace(system, loss=LOSSES["cauchy"]), begin))
+        linear, scale = fits[0].last, fits[0].scale
     else:
         linear, _ = solve_poses(begin)
         _, scale = replace(system, loss=loss).weights(linear.squares)
@@ -68,20 +68,20 @@ def _under_loss(system: System, loss: Loss, begin: Linear, *, near: bool) -> tup
     sound = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in problem.units]).all(axis=1)
     sound &= system.kept & ~unsolved(linear)
     system = replace(system, held_scale=scale, kept=sound)
-    if first is not None or loss.name != "reject":
+    if fits or loss.name != "reject":
         fine = LOSSES["tukey"] if loss.name == "reject" else loss
-        optimum = fit(replace(system, loss=fine), linear, near=True)
-        linear = optimum.last
+        fits.append(fit(replace(system, loss=fine), linear, near=True))
     if loss.name == "reject":  # least squares of the rows that fit each other, until they stay
         rows = None
         for _ in range(_ROUNDS):
+            linear = fits[-1].last if fits else linear
             inliers = sound & ~outlying(linear.squares / scale**2, linear.equations)
             if rows is not None and (inliers == rows).all():
                 break
             rows = inliers
-            optimum = fit(replace(system, kept=inliers), linear, near=True)
-            linear = optimum.last
-    return replace(optimum, first=first or optimum.first), scale
+            fits.append(fit(replace(system, kept=inliers), linear, near=True))
+    evaluations = sum(each.evaluations for each in fits)
+    return replace(fits[-1], first=fits[0].first, evaluations=evaluations), scale
 
 
 def _check_covariance(mechanism: Mechanism, optimum: Fit) -> None:
