@@ -21,7 +21,8 @@ from pincal.show.misses import (
     observed_groups,
     readings_exact,
 )
-from pincal.symmetry.detect import SymmetryGroup, no_symmetries
+from pincal.symmetry.detect import SymmetryGroup
+from pincal.symmetry.shapes import no_symmetries
 from pincal.words.numbers import SMALL, STORED, VALUES, chance, number, shown_in, uncertainty
 from pincal.words.table import Cell, Table, Value, quantity
 from pincal.words.wording import NAMED, named

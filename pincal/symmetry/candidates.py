@@ -1,4 +1,7 @@
-"""Elements that leg points suggest: those that carry where legs begin and end near one another."""
+"""Elements that leg points suggest, which carry where legs begin and end near one another.
+
+And which legs they carry onto which, as these stand.
+"""
 
 from __future__ import annotations
 
@@ -10,26 +13,33 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from pincal.kinematics.batches import turn_of_points
-from pincal.model.checks import ALIKE
+from pincal.kinematics.closure import nominal_legs
+from pincal.model.checks import ALIKE, ROUNDING
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element, applied, isometry
+from pincal.symmetry.shapes import Difference, StandingLeg, differences
 from pincal.types import Array, Index
+
+Permutation = tuple[int, ...]
 
 NEARLY = 0.1
 """Of how far leg points are apart: a symmetry meant, though not kept."""
 _FITTED = 1e-3  # by which fits of one element differ
 
 
-class Points:
-    """Where the legs of a mechanism begin and end."""
+class LegImages:
+    """Which legs of a mechanism elements carry onto which, and by how much these differ."""
 
-    def __init__(self, mechanism: Mechanism, base: Array) -> None:
-        """Take base points in the base frame, shape (n_legs, 3), [m]."""
-        self.mechanism, self.base = mechanism, base
+    def __init__(self, mechanism: Mechanism, readings: bool) -> None:
+        self.mechanism, self.readings = mechanism, readings
+        self.home = mechanism.platform.home_pose.as_matrix()[0]
+        legs = nominal_legs(mechanism)
+        self.shapes = [StandingLeg(leg, self.home, near_home=True) for leg in legs]
+        self.base = base = np.array([shape.base for shape in self.shapes])
+        """Where legs begin, base frame, shape (n_legs, 3), [m]."""
         points = ([p.placement.xyz for p in leg.points] for leg in mechanism.legs)
         self.platform = np.array([np.mean(of_leg, axis=0) for of_leg in points])
         """The middle of each leg's platform points, platform frame, shape (n_legs, 3), [m]."""
-        self.home = mechanism.platform.home_pose.as_matrix()[0]
         self.at_home = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
         """Platform points in the base frame at home, shape (n_legs, 3), [m]."""
         bodies = base, self.platform
@@ -144,6 +154,42 @@ class Points:
         deviation = platform.matrices(platform.from_matrices(carried)) - carried
         deviation[:, :3, 3] /= self.size
         return bool(np.abs(deviation).max() <= ALIKE)
+
+    def home_moves(self, element: Element) -> float:
+        """Return by how much home moves, [m] and [rad] together."""
+        platform = self.mechanism.platform
+        home = np.array([platform.home])
+        return float(np.abs(platform.twists_between(home, element.poses(platform, home))).max())
+
+    def standing(self, element: Element) -> list[StandingLeg]:
+        """Return the legs where they are if the platform is where home is carried to."""
+        moved, carried = self.home_moves(element), element.matrices(self.home[None])[0]
+        if moved <= ROUNDING * self.size:
+            return self.shapes
+        near = moved <= NEARLY * self.size
+        return [StandingLeg(shape.closure, carried, near_home=near) for shape in self.shapes]
+
+    def permutation(self, element: Element, tolerance: float) -> Permutation:
+        """Return onto which leg each one is carried within a tolerance; empty if some is not."""
+        count = len(self.shapes)
+        if element.is_identity:
+            return tuple(range(count))
+        standing, distances = self.standing(element), self.distances(element)
+        fits = np.zeros((count, count), dtype=bool)
+        for index, image in np.argwhere(distances <= 2.0 * NEARLY):
+            fits[index, image] = not self.exceeding(index, element, standing[image], tolerance)
+        rows, to = linear_sum_assignment(np.where(fits, distances, 1e6))
+        return tuple(to.tolist()) if fits[rows, to].all() else ()
+
+    def exceeding(
+        self, index: int, element: Element, image: StandingLeg, tolerance: float
+    ) -> Difference | None:
+        """Return the first difference of a leg, by index, carried to its image; None within."""
+        for difference in differences(self.shapes[index], element, image):
+            counts = self.readings or not difference.of_sensor
+            if counts and difference.exceeds(tolerance, self.size):
+                return difference
+        return None
 
 
 def _shifted(Q: Array, first: Array, second: Array) -> Array:

@@ -290,8 +290,7 @@ def generate(
     """Return the mechanism whose legs are one carried by the elements, the identity first.
 
     Legs are named ``leg_1``, ``leg_2``, …; platform points whose names end in ``_1`` are numbered
-    alike. The leg's home may be rough: all legs are closed at the platform's home pose, on the side
-    (working mode) that the rough home is on.
+    alike. The leg's home may be rough: legs are closed at the platform's home pose, on its side.
 
     Args:
         name: Name of the mechanism.

@@ -8,7 +8,7 @@ element is measured again with these. What keeps others out of it is told by nam
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property, lru_cache
 
@@ -23,7 +23,7 @@ from pincal.model.checks import ALIKE, EXACT, number_of
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-from pincal.symmetry.candidates import NEARLY
+from pincal.symmetry.candidates import NEARLY, LegImages, Permutation
 from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import (
     Element,
@@ -37,42 +37,7 @@ from pincal.symmetry.elements import (
     subgroups,
     wrapped,
 )
-from pincal.symmetry.shapes import Difference, LegImages, Permutation
-from pincal.words.numbers import POSES, amount, listed
-
-HOME = "home pose"
-HOME_MOVES = "the home pose, from which sensors count, is carried elsewhere"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Break(Difference):
-    """What keeps an element out of the group: the first quantity that differs."""
-
-    element: Element
-    leg: str
-    """The leg onto which another one should have been carried."""
-
-    def __str__(self) -> str:
-        """Return the break as a sentence."""
-        return no_symmetries([self])[0]
-
-
-def no_symmetries(breaks: Sequence[Break]) -> list[str]:
-    """Return sentences that say what keeps elements out of a group, one for each reason."""
-    by_reason: dict[str, list[Break]] = {}
-    for broken in breaks:
-        reason = broken.quantity
-        if broken.deviation is not None:
-            reason += f", by {amount(broken.deviation, broken.unit, 4, POSES)}"
-        by_reason.setdefault(reason, []).append(broken)
-    sentences = []
-    for reason, breaks_alike in by_reason.items():
-        elements = listed(dict.fromkeys(str(broken.element) for broken in breaks_alike))
-        legs = list(dict.fromkeys(broken.leg for broken in breaks_alike))
-        differ = f"differ{'s' * (len(legs) == 1)} from what is carried there in {reason}"
-        cause = HOME_MOVES if breaks_alike[0].quantity == HOME else f"{listed(legs)} {differ}"
-        sentences.append(f"{elements}: {cause}")
-    return sentences
+from pincal.symmetry.shapes import HOME, Difference, no_symmetries
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,14 +55,14 @@ class SymmetryGroup:
     """Whether sensors were compared too: if not, legs move alike and may read differently."""
 
     @cached_property
-    def breaks(self) -> tuple[Break, ...]:
+    def breaks(self) -> tuple[Difference, ...]:
         """Why the other elements that the leg points suggest fail."""
         fits, breaks = LegImages(self.mechanism, self.readings), []
         for element in sorted(_meant(fits), key=place_of):
             if any(np.abs(element.matrix - e.matrix).max() < NEARLY for e in self.elements):
                 continue
             turned_over = self.mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
-            if turned_over and fits.home_moves(element) > NEARLY * fits.points.size:
+            if turned_over and fits.home_moves(element) > NEARLY * fits.size:
                 continue  # a machine upside down is not what was meant
             if broken := _first_break(fits, element, self.tolerance):
                 breaks.append(broken)
@@ -211,13 +176,13 @@ def symmetry_group(
 def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGroup:
     """Return the symmetry group of a mechanism, found once."""
     fits = LegImages(mechanism, readings)
-    permuted = {e: p for e in fits.points.candidates if (p := fits.permutation(e, tolerance))}
+    permuted = {e: p for e in fits.candidates if (p := fits.permutation(e, tolerance))}
     elements, permutations = list(permuted), list(permuted.values())
     chosen = distinct(elements, permutations)
     while True:
         elements, permutations = [elements[i] for i in chosen], [permutations[i] for i in chosen]
         closed = largest_closed(product_table(elements, permutations))
-        elements = exact([elements[i] for i in closed], fits.points.centres, fits.points.size)
+        elements = exact([elements[i] for i in closed], fits.centres, fits.size)
         permutations = [fits.permutation(element, tolerance) for element in elements]
         chosen = [i for i, permutation in enumerate(permutations) if permutation]  # the identity
         closes = len(chosen) == len(elements)
@@ -232,14 +197,14 @@ def _meant(fits: LegImages) -> list[Element]:
 
     About the base's z axis as drawn if that is nearly as good: a fit spreads what one leg is off.
     """
-    elements, points = fits.points.candidates, fits.points
-    labels = [tuple(linear_sum_assignment(points.distances(e))[1].tolist()) for e in elements]
+    elements = fits.candidates
+    labels = [tuple(linear_sum_assignment(fits.distances(e))[1].tolist()) for e in elements]
     closed = [elements[i] for i in largest_closed(product_table(elements, labels))]
-    fitted = exact(closed, points.centres, points.size)
+    fitted = exact(closed, fits.centres, fits.size)
     drawn = [upright for element in fitted if (upright := _about_z(element))]
     if len(drawn) == len(fitted):
         off_drawn, off_fitted = (
-            max(points.distances(element).min(axis=1).max() for element in version)
+            max(fits.distances(element).min(axis=1).max() for element in version)
             for version in (drawn, fitted)
         )
         if off_drawn <= len(fits.shapes) * off_fitted + EXACT:
@@ -258,14 +223,14 @@ def _about_z(element: Element) -> Element | None:
     return Element.of(isometry(turn), isometry(turn))
 
 
-def _first_break(fits: LegImages, element: Element, tolerance: float) -> Break | None:
+def _first_break(fits: LegImages, element: Element, tolerance: float) -> Difference | None:
     """Return what breaks an element first, by the names of parameters where they can say it."""
-    legs, size = fits.mechanism.legs, fits.points.size
+    legs, size = fits.mechanism.legs, fits.size
     moves = fits.home_moves(element) > tolerance * max(1.0, size)
     standing = fits.standing(element)
-    for index, distances in enumerate(fits.points.distances(element)):
+    for index, distances in enumerate(fits.distances(element)):
         if moves and fits.readings and any(sensor.homed for sensor in legs[index].sensors):
-            return Break(HOME, None, element=element, leg=legs[index].name)
+            return Difference(HOME, None, element=element, leg=legs[index].name)
         order = np.argsort(distances)
         near = order[distances[order] <= distances.min() + ALIKE].tolist()
         differing = [fits.exceeding(index, element, standing[i], tolerance) for i in near]
@@ -274,7 +239,7 @@ def _first_break(fits: LegImages, element: Element, tolerance: float) -> Break |
             named = _named(fits, legs[index], element, image)
             differs = next((d for d in named if d.exceeds(tolerance, size)), differing[0])
             if differs is not None:
-                return Break(**vars(differs), element=element, leg=image.name)
+                return replace(differs, element=element, leg=image.name)
     return None
 
 

@@ -20,16 +20,16 @@ from scipy.spatial import distance_matrix
 from pincal.kinematics.batches import lengths
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close, sensor_law
-from pincal.kinematics.closure import LegClosure, nominal_legs
-from pincal.model.checks import ROUNDING, wrapped
+from pincal.kinematics.closure import LegClosure
+from pincal.model.checks import wrapped
 from pincal.model.joint import Joint
-from pincal.model.mechanism import Mechanism
 from pincal.model.terms import LOAD
-from pincal.symmetry.candidates import NEARLY, Points
 from pincal.symmetry.elements import Element, applied
 from pincal.types import Array
+from pincal.words.numbers import POSES, amount, listed
 
-Permutation = tuple[int, ...]
+HOME = "home pose"
+HOME_MOVES = "the home pose, from which sensors count, is carried elsewhere"
 _READINGS = np.linspace(-1.0, 1.0, 7)
 """How far from where a leg stands its sensors are compared, [rad], or of its size."""
 
@@ -45,11 +45,37 @@ class Difference:
     """m, rad or 1."""
     of_sensor: bool = False
     """Whether it is of a sensor: the legs move alike, their readings differ."""
+    element: Element | None = None
+    """The element that it keeps out of a group."""
+    leg: str = ""
+    """The leg onto which another one should have been carried."""
 
     def exceeds(self, tolerance: float, size: float) -> bool:
         """Return whether it is more than a tolerance, relative to a size [m] for lengths."""
         scale = size if self.unit == "m" else 1.0
         return self.deviation is None or not self.deviation <= tolerance * scale
+
+    def __str__(self) -> str:
+        """Return what keeps an element out of a group as a sentence."""
+        return no_symmetries([self])[0]
+
+
+def no_symmetries(breaks: Sequence[Difference]) -> list[str]:
+    """Return sentences that say what keeps elements out of a group, one for each reason."""
+    by_reason: dict[str, list[Difference]] = {}
+    for broken in breaks:
+        reason = broken.quantity
+        if broken.deviation is not None:
+            reason += f", by {amount(broken.deviation, broken.unit, 4, POSES)}"
+        by_reason.setdefault(reason, []).append(broken)
+    sentences = []
+    for reason, breaks_alike in by_reason.items():
+        elements = listed(dict.fromkeys(str(broken.element) for broken in breaks_alike))
+        legs = list(dict.fromkeys(broken.leg for broken in breaks_alike))
+        differ = f"differ{'s' * (len(legs) == 1)} from what is carried there in {reason}"
+        cause = HOME_MOVES if breaks_alike[0].quantity == HOME else f"{listed(legs)} {differ}"
+        sentences.append(f"{elements}: {cause}")
+    return sentences
 
 
 class StandingLeg:
@@ -234,49 +260,3 @@ def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> It
         if unit == "rad":
             shifts = wrapped(shifts)
         yield Difference("reading of the sensor", float(np.abs(shifts).max()), unit, of_sensor=True)
-
-
-class LegImages:
-    """Which legs of a mechanism elements carry onto which, and by how much these differ."""
-
-    def __init__(self, mechanism: Mechanism, readings: bool) -> None:
-        self.mechanism, self.readings = mechanism, readings
-        home = mechanism.platform.home_pose.as_matrix()[0]
-        self.shapes = [StandingLeg(leg, home, near_home=True) for leg in nominal_legs(mechanism)]
-        self.points = Points(mechanism, np.array([shape.base for shape in self.shapes]))
-
-    def home_moves(self, element: Element) -> float:
-        """Return by how much home moves, [m] and [rad] together."""
-        platform = self.mechanism.platform
-        home = np.array([platform.home])
-        return float(np.abs(platform.twists_between(home, element.poses(platform, home))).max())
-
-    def standing(self, element: Element) -> list[StandingLeg]:
-        """Return the legs where they are if the platform is where home is carried to."""
-        moved, carried = self.home_moves(element), element.matrices(self.points.home[None])[0]
-        if moved <= ROUNDING * self.points.size:
-            return self.shapes
-        near = moved <= NEARLY * self.points.size
-        return [StandingLeg(shape.closure, carried, near_home=near) for shape in self.shapes]
-
-    def permutation(self, element: Element, tolerance: float) -> Permutation:
-        """Return onto which leg each one is carried within a tolerance; empty if some is not."""
-        count = len(self.shapes)
-        if element.is_identity:
-            return tuple(range(count))
-        standing, distances = self.standing(element), self.points.distances(element)
-        fits = np.zeros((count, count), dtype=bool)
-        for index, image in np.argwhere(distances <= 2.0 * NEARLY):
-            fits[index, image] = not self.exceeding(index, element, standing[image], tolerance)
-        rows, to = linear_sum_assignment(np.where(fits, distances, 1e6))
-        return tuple(to.tolist()) if fits[rows, to].all() else ()
-
-    def exceeding(
-        self, index: int, element: Element, image: StandingLeg, tolerance: float
-    ) -> Difference | None:
-        """Return the first difference of a leg, by index, carried to its image; None within."""
-        for difference in differences(self.shapes[index], element, image):
-            counts = self.readings or not difference.of_sensor
-            if counts and difference.exceeds(tolerance, self.points.size):
-                return difference
-        return None
