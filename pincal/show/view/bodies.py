@@ -8,8 +8,8 @@ has moved, and plates. Where a leg does not reach, its links are NaN.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from lxml import etree
@@ -31,8 +31,7 @@ _CABLES = ("line", "cable")
 _FLAT = 1e-6  # of what is a plane's size
 
 
-@dataclass(frozen=True, eq=False)
-class Shape:
+class Shape(NamedTuple):
     """A box, cylinder (along z), sphere or mesh on a link."""
 
     kind: str
@@ -220,9 +219,9 @@ def _leg_shapes(leg: Leg) -> list[tuple[Shape, ...]]:
     for place, joint in enumerate(leg.joints, 1):
         if joint.kind == "prismatic" and (joint.home or joint.name in _CABLES):
             block, *others = links[place]
-            links[place] = (replace(block, colour=PALE), *others)
+            links[place] = (block._replace(colour=PALE), *others)
             if joint.name in _CABLES:
-                links[0] = (replace(links[0][0], colour=block.colour),)
+                links[0] = (links[0][0]._replace(colour=block.colour),)
     return links
 
 

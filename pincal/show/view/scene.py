@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,8 +36,7 @@ _HEAD = 0.2  # of an arrow's length
 _STEPS, _STEP, _TURNS, _NEAR = 50, 0.5, 1e-3, 1e-4  # of dragging: most, longest; weight; met
 
 
-@dataclass(frozen=True, eq=False)
-class Layer:
+class Layer(NamedTuple):
     """Dots or lines that stand still."""
 
     path: str
