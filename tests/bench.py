@@ -8,7 +8,7 @@ import numpy as np
 
 import pincal
 from pincal.files.columns import columns_of
-from pincal.words.units import UNITS
+from pincal.words.numbers import UNITS
 
 NOISE = pincal.Noise(2e-5, 2e-5, 1e-5)
 

@@ -23,7 +23,7 @@ from pincal import errors
 from pincal.cli.app import app
 from pincal.model.orientation import WAYS
 from pincal.words.findings import WORDINGS
-from pincal.words.units import UNITS
+from pincal.words.numbers import UNITS
 
 ROOT = Path(__file__).parents[1]
 #: Licences that ask of users of pincal no more than to name the authors.

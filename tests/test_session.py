@@ -228,7 +228,7 @@ def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[SimulatedM
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     mechanism = pincal.load_mechanism("5R")
     truth = pincal.disturb(mechanism, seed=3)
-    machine = SimulatedMachine(mechanism, truth, NOISE, pincal.Setup(), pincal.words.units.SI)
+    machine = SimulatedMachine(mechanism, truth, NOISE, pincal.Setup(), pincal.words.numbers.SI)
     machine.rng = np.random.default_rng(1)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]

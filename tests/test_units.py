@@ -15,8 +15,7 @@ from measured import machine
 import pincal
 from pincal.files.measurements import read_measurements, read_readings
 from pincal.files.table import read_table
-from pincal.words.numbers import SMALL, reading_in, shown_in
-from pincal.words.units import UNITS, Units
+from pincal.words.numbers import SMALL, UNITS, Units, reading_in, shown_in
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
 COUNTS = 4096 / (2 * np.pi)

@@ -19,7 +19,7 @@ from pincal.model.parameter import Parameter, means
 from pincal.model.setup import Setup, Systematic
 from pincal.option import option
 from pincal.types import Array, Index
-from pincal.words.units import UNITS
+from pincal.words.numbers import UNITS
 
 By = Literal["region", "turn", "run"]
 FOLDS = 5

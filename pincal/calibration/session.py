@@ -51,7 +51,7 @@ from pincal.model.setup import Setup
 from pincal.option import option
 from pincal.types import Array
 from pincal.words.findings import finding
-from pincal.words.units import SI, Units
+from pincal.words.numbers import SI, Units
 
 PLANNED = "planned_"
 """What heads columns of the sheet that say what to drive to."""

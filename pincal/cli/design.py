@@ -51,8 +51,7 @@ from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show import explanation, tables
-from pincal.words.numbers import amount, reading_in
-from pincal.words.units import Units
+from pincal.words.numbers import Units, amount, reading_in
 
 _FORECAST = 50  # poses, where no plan is given
 

@@ -36,8 +36,7 @@ from pincal.files.table import write_table
 from pincal.option import option
 from pincal.show.measuring import obeyed, progress, responding, set_points
 from pincal.show.view.view import PageServer
-from pincal.words.numbers import percent
-from pincal.words.units import UNITS, Units
+from pincal.words.numbers import UNITS, Units, percent
 
 _CANDIDATES = 500  # poses, where no plan is given
 _PATIENCE = 5.0  # seconds in which an instrument must take the call

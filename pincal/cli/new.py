@@ -22,8 +22,7 @@ from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
 from pincal.option import Option, option
 from pincal.show.tables import selection_table
-from pincal.words.numbers import amount
-from pincal.words.units import WRITTEN
+from pincal.words.numbers import WRITTEN, amount
 from pincal.workspace.criteria import in_workspace
 
 #: Files in the folder beside the mechanism, and what they are.

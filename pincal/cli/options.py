@@ -15,7 +15,7 @@ from pincal import MeasurementError, Mechanism, PincalError, Setup, Target
 from pincal.files.text import in_si
 from pincal.instruments.setup_file import read_setup
 from pincal.option import Option, option, option_of
-from pincal.words.units import Units
+from pincal.words.numbers import Units
 
 FORCE = Option("Replace the output if it exists.")
 SEED = Option("Seed of all random choices.", least=0)

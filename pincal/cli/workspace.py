@@ -20,7 +20,7 @@ from pincal.option import option
 from pincal.show.charts import workspace_figure
 from pincal.show.style import picture_path, save_figure
 from pincal.show.tables import workspace_table
-from pincal.words.units import WRITTEN
+from pincal.words.numbers import WRITTEN
 from pincal.workspace.criteria import refuse_readings
 from pincal.workspace.grid import POSITION_AXES, Axis, closer_grid, default_grid
 from pincal.workspace.region import KINDS

@@ -24,7 +24,7 @@ from pincal.model.orientation import WAYS
 from pincal.model.orientation import columns_of as angles_of
 from pincal.model.setup import Setup
 from pincal.types import Array
-from pincal.words.units import COUNTS, SI, UNITS, Units
+from pincal.words.numbers import COUNTS, SI, UNITS, Units
 from pincal.words.wording import NAMED
 
 Columns = dict[str, Array | tuple[str, ...]]

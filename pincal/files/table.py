@@ -24,7 +24,7 @@ from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, plain_number, read_text, why_no_number
 from pincal.model.checks import LARGEST, must_be
 from pincal.types import Array
-from pincal.words.units import COUNTS, SCALE, SI, UNITS, Units
+from pincal.words.numbers import COUNTS, SCALE, SI, UNITS, Units
 
 _log = logging.getLogger(__name__)
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")

@@ -22,7 +22,7 @@ from lxml import etree
 
 from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
 from pincal.model.checks import LARGEST
-from pincal.words.units import UNITS
+from pincal.words.numbers import UNITS
 
 LARGEST_FILE = {"table": 2**28, "result": 2**28, "XML": 2**24, "printer": 2**22, "YAML": 2**20}
 """Sizes up to which files are read, [bytes], by what they hold."""

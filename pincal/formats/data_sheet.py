@@ -19,7 +19,7 @@ from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.types import Array
-from pincal.words.units import SI, UNITS, Units
+from pincal.words.numbers import SI, UNITS, Units
 
 _STEP = 1e-6  # of parameters, for differences [m] or [rad]
 _MOVED = 1e-6  # by a direction of length 1: it is not determined

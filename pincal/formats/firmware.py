@@ -34,7 +34,7 @@ from pincal.model.checks import LARGEST
 from pincal.model.measurements import Measurements
 from pincal.model.relations import ROW, TO
 from pincal.types import Array
-from pincal.words.units import UNITS
+from pincal.words.numbers import UNITS
 
 _MM = UNITS["mm"][1]
 _SAVED = "#*# "  # begins the lines of SAVE_CONFIG

@@ -32,8 +32,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.option import option, option_of
 from pincal.types import Array
-from pincal.words.numbers import amount
-from pincal.words.units import Units
+from pincal.words.numbers import Units, amount
 from pincal.workspace.limits import Limits
 from pincal.workspace.sampling import sample_workspace
 

@@ -31,9 +31,8 @@ from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.picture import picture
 from pincal.show.style import page_figure
 from pincal.show.view.scene import MOST_POSES, VERIFICATION
-from pincal.words.numbers import capital, reading_in
+from pincal.words.numbers import SI, Units, capital, reading_in
 from pincal.words.table import Table
-from pincal.words.units import SI, Units
 from pincal.words.wording import rendered
 
 

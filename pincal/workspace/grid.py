@@ -25,7 +25,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import SAME
 from pincal.types import Array, Mask
-from pincal.words.units import UNITS
+from pincal.words.numbers import UNITS
 
 Indices = NDArray[np.int64]
 Carrier: TypeAlias = Callable[[Indices], Indices]  # of positions to those of their images

@@ -27,7 +27,7 @@ from pincal.estimation.observability.residuals import Amplitudes, Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.estimation.unknowns import State
 from pincal.types import Array, Index
-from pincal.words.units import UNITS
+from pincal.words.numbers import UNITS
 
 _PERIODS = (2, 250)  # in the travel of a reading that are searched for
 _FINE = 3  # rates that are tried in the width of a peak
