@@ -20,7 +20,7 @@ LINES = {
     "design": 2_317,
     "estimation": 4_890,
     "files": 3_400,
-    "formats": 3_628,
+    "formats": 3_625,
     "instruments": 1_575,
     "kinematics": 3_323,
     "model": 3_636,

@@ -234,21 +234,16 @@ def leg_of(tree: Tree, limb: Limb, platform: str, driven: set[str], normal: Arra
 
     In a plane if there is a normal, in the root's frame.
     """
-    main, *further = [_platform_end(tree, way, platform, driven, normal) for way in limb.ends]
+    closed = [_platform_end(tree, steps, platform, driven, normal) for steps in limb.ends]
+    (way, met, closes), *further = closed
     joints: list[Joint] = []
-    ends: list[End] = []
-    for way, point in further:
-        tip = _hang(joints, way)
-        ends.append(End(tip, point or Joint("point", "fixed"), "point" if point else "frame"))
+    ends = [End(_hang(joints, branch), point, closing) for branch, point, closing in further]
     for near, far in limb.loops:
         ends.append(_loop_end(tree, near, far, joints, driven, normal))
-    way, point = main
     if way[-1].kind != "fixed" or way[-1].name in (joint.name for joint in joints):
         way = [*way, Joint("tip", "fixed")]
     _hang(joints, way)
-    met = point or Joint("point", "fixed")
     sensors = _sensors(tree, joints)
-    closes: Closing = "point" if point else "frame"
     return Leg("limb", tuple(joints), sensors, (), met, closes, ends=tuple(ends))
 
 
@@ -301,10 +296,12 @@ def _loop_end(
 
 def _platform_end(
     tree: Tree, path: Sequence[Step], platform: str, driven: set[str], normal: Array | None
-) -> tuple[list[Joint], Joint | None]:
-    """Return the joints along a way to a link of the platform, and the point if it closes one."""
+) -> tuple[list[Joint], Joint, Closing]:
+    """Return the joints along a way to a link of the platform, what they meet there, and how."""
     joints, place = _to_point(_joints_to(tree, path, platform, normal), driven, tree.slack, normal)
-    return joints, None if place is None else _point(tree, platform, path[-1], place)
+    if place is None:
+        return joints, Joint("point", "fixed"), "frame"
+    return joints, _point(tree, platform, path[-1], place), "point"
 
 
 def _joints_to(
