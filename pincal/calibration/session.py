@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
@@ -86,8 +86,7 @@ class SessionOptions:
     """Of the columns; mm and degrees where nothing else is said."""
 
 
-@dataclass(frozen=True)
-class Checked:
+class Checked(NamedTuple):
     """A row as it was judged when it came."""
 
     row: int
@@ -269,7 +268,7 @@ class Session:
     def _judge(self, calibration: Calibration, *, keep: bool = False) -> Checked:
         """Return the verdict on the last row; calibrate, if it is not off."""
         checked = self._check(calibration)
-        self.checked = replace(checked, off=checked.off and not keep)
+        self.checked = checked._replace(off=checked.off and not keep)
         if not self.checked.off:
             self._fit(calibration)
         return self.checked

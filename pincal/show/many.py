@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -186,13 +185,11 @@ def batch_lines(columns: Columns, mechanism: Mechanism) -> tuple[list[str | Tabl
     return [*lines, Table("", ["machine", "verdict"], rows)], bad
 
 
-@dataclass(eq=False)
 class HistoryPage(Page):
-    """The page of a machine's history."""
+    """The page of a machine's history; an accuracy is wanted of its platform, [m] or [rad]."""
 
-    history: History
-    accuracy: float | None = None
-    """Wanted of the platform, [m] or [rad]."""
+    def __init__(self, history: History, accuracy: float | None = None) -> None:
+        self.history, self.accuracy = history, accuracy
 
     @property
     def lines(self) -> list[str | Table]:
