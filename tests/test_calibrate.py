@@ -437,6 +437,7 @@ def test_a_start_near_a_singularity_says_nothing_of_the_poses(
         assert way.run(mechanism, truth, noise, seed)[1]
 
 
+@pytest.mark.slow
 def test_a_tolerance_predicts_better_than_few_poses(tmp_path: Path) -> None:
     """With few noisy poses, parameters near the drawing go less astray than free ones."""
     plain = pincal.load_mechanism("3RRR")

@@ -14,6 +14,7 @@ from pincal.design.optimal import Criterion, continuous_design, derivatives, exc
 from pincal.kinematics.configurations import leg_demands
 
 
+@pytest.mark.slow
 def test_the_bound_is_that_of_an_optimiser_of_all_candidates() -> None:
     """The multiplicative algorithm on all candidates, 30,000 steps, ends at the same design."""
     rng = np.random.default_rng(0)

@@ -113,6 +113,7 @@ def test_an_empty_workspace_is_a_result(tmp_path: Path) -> None:
     done("workspace", "6UPS", "--kind", "reachable", *spatial, "-o", tmp_path / "s.csv")
 
 
+@pytest.mark.slow
 def test_a_cut_workspace_says_so(tmp_path: Path) -> None:
     """A grid that ends inside the workspace is told; one drawn close around it is not."""
     line = ["workspace", "3RRR", "--kind", "constant-orientation"]

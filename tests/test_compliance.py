@@ -53,6 +53,7 @@ def rows() -> tuple[pincal.Mechanism, pincal.Measurements, pincal.Measurements]:
     return arm, replace(seen, poses=poses), exact.rows(np.arange(len(exact)) >= COUNT)
 
 
+@pytest.mark.slow
 def test_terms_reach_the_noise_where_geometry_misses_it(
     rows: tuple[pincal.Mechanism, pincal.Measurements, pincal.Measurements],
 ) -> None:

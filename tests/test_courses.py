@@ -95,6 +95,7 @@ def test_what_is_known_beforehand_is_measured_too() -> None:
     assert left.without(W).chi2 == pytest.approx(rest, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_few_rows_with_priors_lack_nothing() -> None:
     """Three rows of machines as exact as their tolerances say: no course is less than likely."""
     tolerance = {"m": 1e-3, "rad": 1e-3, "1": 1e-3}

@@ -98,6 +98,7 @@ HOW = ("disturbed", "rounded", "mirrored", "moved", "tilted", "all")
 CASES = (st.sampled_from(sorted(GRIDS)), st.sampled_from(HOW), st.integers(0, 10**6))
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None)
 @given(*CASES)
 @example("6UPS", "disturbed", 202)  # platform and base are turned by 1e-9 from each other

@@ -76,6 +76,7 @@ def test_positions_with_noise(mechanism: pincal.Mechanism, data: pincal.Measurem
     assert rms(result) == pytest.approx(0.465e-3, abs=2e-6)
 
 
+@pytest.mark.slow
 def test_gains_are_needed(mechanism: pincal.Mechanism, data: pincal.Measurements) -> None:
     """Without them 1.80 mm is left, and χ² says that the model lacks something."""
     result = pincal.calibrate(mechanism, data, noise=HELD, fixed=("k",))

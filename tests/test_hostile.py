@@ -201,6 +201,7 @@ def test_a_point_may_be_called_platform(folder: Path) -> None:
     assert pincal.load_mechanism(mechanism.save(folder.parent / "saved")) == mechanism
 
 
+@pytest.mark.slow
 def test_a_million_columns_are_refused(tmp_path: Path) -> None:
     """A header of a million cells, or a row of them, is refused by their number."""
     path = tmp_path / "wide.csv"

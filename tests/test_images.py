@@ -27,6 +27,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         return runpy.run_path(str(EXAMPLE))
 
 
+@pytest.mark.slow
 def test_arrows_lead_from_what_was_seen_to_what_is_predicted(made: dict[str, Any]) -> None:
     """In pixels, all magnified by one factor; the mistaken mark is the longest and the darkest."""
     result, data = made["result"], made["data"]

@@ -163,6 +163,7 @@ def test_own_machine_in_python_seen_by_a_tracker_that_stands_elsewhere(tmp_path:
     assert not gets_there(truth, pincal.inverse(robot, PLANAR).readings, PLANAR, 1e-4)
 
 
+@pytest.mark.slow
 def test_cad_urdf_seen_by_a_tracker_that_stands_elsewhere(tmp_path: Path) -> None:
     """Four commands and one message, which is what to add; the CAD file gets its numbers."""
     own, robot, csv = Journey(), tmp_path / "bar", tmp_path / "tracker.csv"

@@ -181,6 +181,7 @@ def test_a_loop_within_a_leg(name: str, tmp_path: Path) -> None:
     assert recovered(mechanism, solved.readings[near], 1e-4) < 1e-8
 
 
+@pytest.mark.slow
 def test_a_platform_that_only_turns() -> None:
     """An Agile eye's elbow and wrist axes are at right angles at every reading, and all return.
 

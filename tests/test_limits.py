@@ -34,6 +34,7 @@ def links(plan: pincal.Plan, names: tuple[str, ...]) -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.slow
 def test_an_arm_stays_above_its_table_and_out_of_a_box(caplog: pytest.LogCaptureFixture) -> None:
     """Joints and tool of every pose, by Pinocchio; on straight ways too, but those named."""
     arm = loaded("ur5")
@@ -99,6 +100,7 @@ def test_limits_that_cannot_be(option: str, value: str, words: str, tmp_path: Pa
     assert not (tmp_path / "plan.csv").exists()
 
 
+@pytest.mark.slow
 def test_cables_stay_under_tension() -> None:
     """Every pose can be held with 45 N in all cables at least; without, some cannot."""
     robot = pincal.load_mechanism("8cable")

@@ -140,6 +140,7 @@ def test_loads_are_those_where_the_platform_is(*, elsewhere: bool) -> None:
     assert np.abs(used - own).max() < 0.1 * np.abs(own).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", ["masses of links", "measured loads"])
 def test_gravity_needs_no_load_where_masses_or_loads_are_known(known: str, tmp_path) -> None:
     """Amplitudes that were simulated come back within five standard errors, and are saved.

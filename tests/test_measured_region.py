@@ -82,6 +82,7 @@ def test_a_promise_is_kept_or_withdrawn_where_legs_sag() -> None:
     assert broken >= 5
 
 
+@pytest.mark.slow
 def test_measured_poses_lie_in_their_region() -> None:
     """No measured pose lies outside; the limit there is finite, and far away there is none."""
     _, result = in_a_box(0, 0.0)
@@ -95,6 +96,7 @@ def test_measured_poses_lie_in_their_region() -> None:
     assert np.isinf(far.limit).all()
 
 
+@pytest.mark.slow
 def test_what_a_promise_leaves_out_is_said_beside_it(tmp_path: Path) -> None:
     """On terminal, page and in JSON; what was said of (a scale, a pose measured again) is not."""
     _, result = in_a_box(0, 0.0)

@@ -136,7 +136,8 @@ def test_faults_are_named_in_known_and_unknown_frames(
     assert str(caught.value) == sentences(found)[0]
 
 
-@pytest.mark.parametrize("kind", quick(1, KINDS))
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
 def test_poses_in_another_frame_are_recognised(kind: str) -> None:
     """Full poses of a tracker that stands elsewhere lead to --unknown-frame, alone or with more."""
     mechanism, _, data = machine(kind, 36)
@@ -208,6 +209,7 @@ def test_machines_are_the_same_whatever_their_zeros(kind: str, options: dict[str
     assert np.isfinite(errors_at(there, there.poses).mean_before()).all()
 
 
+@pytest.mark.slow
 def test_zeros_that_are_not_identified_are_refused() -> None:
     """Held fixed, or given with a prior, a zero that is far off remains a fault."""
     mechanism, _, data = machine("3RRR", 36)

@@ -46,6 +46,7 @@ def planar(noise: pincal.Noise, verified: int = 0, **options: bool) -> pincal.Ca
     return pincal.calibrate("3RRR", data, noise=noise, **options).validated()
 
 
+@pytest.mark.slow
 def test_held_out_poses_are_missed_within_their_limit() -> None:
     """Parameters drawn from their covariance and noise, 1,200 times: 95 % below, within 5 %."""
     noise, rng = pincal.Noise(2e-4, 1e-3, 3e-4), np.random.default_rng(0)
@@ -67,6 +68,7 @@ def test_held_out_poses_are_missed_within_their_limit() -> None:
     np.testing.assert_allclose(limits, simulated, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_an_unknown_frame_is_fitted_to_the_nominal_machine() -> None:
     """Positions of the nominal machine are off by what a rigid alignment leaves, to first order.
 
@@ -95,6 +97,7 @@ def test_intervals_cover_the_true_root_mean_square() -> None:
     assert 0.90 <= covered / 400 <= 0.97
 
 
+@pytest.mark.slow
 def test_positions_of_an_arm_are_missed_in_mm() -> None:
     """Positions alone, in an unknown frame: by the noise, mean and root mean square of a ball's."""
     arm = loaded("ur5")

@@ -117,7 +117,8 @@ def test_files_of_arms_hold_every_axis_aligned_tool(form: str, index: int, tmp_p
     np.testing.assert_allclose(there, home, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("arm", quick(1, ["down", "ur5"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", ["down", "ur5"])
 def test_an_arm_whose_tool_points_down_is_used_by_every_command(arm: str, tmp_path: Path) -> None:
     """Imported, it is checked, planned, measured, calibrated; poses and readings say the same."""
     folder, plan, data = tmp_path / "m", tmp_path / "plan.csv", tmp_path / "data.csv"

@@ -161,6 +161,7 @@ def test_a_photo_that_a_program_turned_is_left_out(tmp_path: Path) -> None:
     assert "480x640 pixels, the others 640x480: some program has turned it" in photos[2].reason
 
 
+@pytest.mark.slow
 def test_two_boards_in_one_photo_share_no_marker(tmp_path: Path) -> None:
     """Boards with the same markers are refused; with others each gets its points."""
     for name, first in (("p", 0), ("q", 5), ("r", 40)):

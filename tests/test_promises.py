@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 from cramer_rao import Machine, drawn, machine, off, values_of
-from marks import quick, slow_or_fuzz, some_slow
+from marks import slow_or_fuzz, some_slow
 from measured import validated
 from numpy.typing import NDArray
 from resized import scaled
@@ -74,6 +74,7 @@ def test_no_limit_is_promised_where_the_model_lacks_something(
         assert found.values["size"] == pytest.approx(5e-4, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", some_slow([None, NOISE], None))
 def test_what_residuals_cannot_show_is_promised_with(noise: pincal.Noise | None) -> None:
     """Clearance of ± 0.1 mrad, hidden in noise of 20 µm: limits hold at 100 other poses.
@@ -101,6 +102,7 @@ def test_what_residuals_cannot_show_is_promised_with(noise: pincal.Noise | None)
     assert promised >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", some_slow([None, NOISE], None))
 def test_unpromised_errors_are_those_of_rows_not_seen(noise: pincal.Noise | None) -> None:
     """Eccentric drives, 20 poses: as far as 20 fits miss the row that each has not seen."""
@@ -251,7 +253,8 @@ def test_size_changes_nothing(factor: float) -> None:
     assert [f.code for f in results[0].findings] == [f.code for f in results[1].findings]
 
 
-@pytest.mark.parametrize("name", quick(1, ["5R", "3RRR"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["5R", "3RRR"])
 def test_nothing_is_read_in_rounding_errors(name: str) -> None:
     """Of data without noise only that is said: no step, no eccentric disc, no outlier, no limit."""
     mechanism = pincal.load_mechanism(name)

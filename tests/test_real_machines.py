@@ -143,7 +143,8 @@ def test_the_error_is_that_of_the_points_measured(tolerance: dict[str, float], s
     assert error.units == ("m",) * 9
 
 
-@pytest.mark.parametrize(("motion", "seed"), quick(1, [(0.3, 0), (0.1, 1)]))
+@pytest.mark.slow
+@pytest.mark.parametrize(("motion", "seed"), [(0.3, 0), (0.1, 1)])
 def test_where_all_was_measured_held_directions_leave_the_error_finite(
     motion: float, seed: int
 ) -> None:

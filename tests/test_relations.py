@@ -139,6 +139,7 @@ def test_heights_of_steps_are_those_of_the_second_row(tmp_path: Path) -> None:
         pincal.calibrate(robot, data, noise=pincal.Noise(1e-6))
 
 
+@pytest.mark.slow
 def test_wrong_pairs_are_named(tmp_path: Path) -> None:
     """A pair typed twice, of one row, of no row, in inches: refused, by its rows.
 

@@ -183,6 +183,7 @@ def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> Non
         assert "405.02" not in text
 
 
+@pytest.mark.slow
 def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
     """Residuals far beyond the noise: no number after; if they hardly fell, it is not better."""
     result, _, report = planar

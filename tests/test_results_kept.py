@@ -119,7 +119,8 @@ def test_an_arm_whose_length_gives_way_has_a_report() -> None:
     assert joints[leg.name].shape == (1, len(leg.moving))
 
 
-@pytest.mark.parametrize("count", quick(1, [20, 100]))
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [20, 100])
 def test_damage_is_one_message(count: int, folder: Path, tmp_path: Path) -> None:
     """Any leaf of the data replaced by what it is not: loaded and said, or refused in one line."""
     done("calibrate", "5R", folder / "measured.csv", "-o", tmp_path / "r", "--no-report")

@@ -55,6 +55,7 @@ def begun(tmp_path_factory: pytest.TempPathFactory) -> Session:
     return session(tmp_path_factory.mktemp("begun") / "s", 16, accuracy=None)
 
 
+@pytest.mark.slow
 def test_enough_is_what_calibrate_promises_and_the_machine_keeps(tmp_path: Path) -> None:
     """At "enough" ``pincal.calibrate`` promises it of rows.csv alone, and the truth is within."""
     measured = session(tmp_path / "s", 8)

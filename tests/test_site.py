@@ -162,6 +162,7 @@ def test_page_answers_what_it_says(
             assert (np.abs(made - there) > 0.1).any(axis=2).mean() < 0.02
 
 
+@pytest.mark.slow
 def test_a_page_whose_command_fails_is_not_written(tmp_path: Path) -> None:
     """Its exit code must be 0, or what the comment behind the command says."""
     page = "```console\n$ pincal check 9RRR{}\n```\n"

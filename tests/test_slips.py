@@ -112,6 +112,7 @@ def test_sound_machines_have_no_slips() -> None:
     assert sum(bool(slipped(*measured("3RRR", seed))) for seed in range(10, 110)) <= 3
 
 
+@pytest.mark.slow
 def test_a_reflector_that_slipped_on_an_arm_is_named() -> None:
     """Readings exact, frame and target unknown, positions only: as a laser tracker measures."""
     arm = loaded("ur5")

@@ -315,6 +315,7 @@ def test_a_narrow_terminal_loses_no_letter() -> None:
     assert {"270°", "135°", *group.mechanism.leg_names} <= words
 
 
+@pytest.mark.slow
 def test_a_leg_that_branches_is_carried_branch_by_branch() -> None:
     """Six rods have the delta's group, D6, whose mirrors swap a leg's rods; readings follow.
 

@@ -157,6 +157,7 @@ def test_gravity_bends_an_arm_and_is_identified() -> None:
     assert pincal.calibrate(arm, data, **given).reduced_chi2 > 3.0 * result.reduced_chi2
 
 
+@pytest.mark.slow
 def test_a_weight_that_nobody_said_is_taken_up_by_amplitudes(tmp_path: Path) -> None:
     """Of a machine that sags under 7 kg, 1 kg and amplitudes seven times as large do the same."""
     plain = pincal.load_mechanism("linear_delta")
@@ -421,6 +422,7 @@ def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
         pincal.calibrate("3RRR", data, terms=["leg_1=period"])
 
 
+@pytest.mark.slow
 def test_a_column_with_a_blank_cell_is_not_tried_and_that_is_said(tmp_path: Path) -> None:
     data, machine = _with_a_warm_leg(pincal.load_mechanism("3RRR"))
     data.to_csv(tmp_path / "d.csv", machine)

@@ -75,6 +75,7 @@ def test_ends_are_where_the_profile_has_risen() -> None:
     assert ends[0, 0] < sizes[0] < ends[0, 1]
 
 
+@pytest.mark.slow
 def test_sizes_are_found_and_said() -> None:
     """Intervals hold the sizes drawn; the result says them, and keeps them as its options."""
     _, data = drawn("3RRR", 24, seed=2)

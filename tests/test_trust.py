@@ -144,6 +144,7 @@ def test_rows_off_as_those_before_are_no_step(kind: str) -> None:
     assert named["step"] >= 9
 
 
+@pytest.mark.slow
 def test_a_misfit_of_all_poses_is_no_step() -> None:
     """Cables over pulleys of 30 mm, which no model here knows: χ² says so, no course of time does.
 
@@ -183,6 +184,7 @@ def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:
             validated(mechanism, data, folds=count)
 
 
+@pytest.mark.slow
 def test_what_changes_between_runs_shows_when_they_are_held_out() -> None:
     """A leg moved by 1 mm before the second of three runs; without it nothing is found."""
     mechanism, truth, clean = machine("3RRR", 40, EXACT)
@@ -285,6 +287,7 @@ def test_noise_given_too_small_is_no_matter_of_held_out_rows() -> None:
     assert "held-out-worse" not in [one.code for one in found.findings]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("several", some_slow([False, True], True))
 def test_held_out_points_are_missed_in_mm(several: bool) -> None:
     """Of positions alone, or of two targets: what the true machine's noise and errors make.

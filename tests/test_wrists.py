@@ -92,6 +92,7 @@ def test_parameters_come_back(
         np.testing.assert_allclose(leg.identified, truth.leg(leg.name).nominal, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_wrist_turned_at_home_is_refused(wrists: pincal.Mechanism, tmp_path: Path) -> None:
     """The message tells the angle, not a length."""
     *joints, tip = wrists.legs[0].joints
