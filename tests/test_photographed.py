@@ -175,10 +175,10 @@ def scenes(name: str) -> Scene:
     home = np.array([0.4, -1.4, 1.5, -1.6, -1.5, 0.3])
     draw = np.random.default_rng(5).uniform(-1.0, 1.0, (400, 6))
     poses = pincal.forward(robot, np.vstack((home, home + 0.6 * draw))).poses
-    return scene(robot, poses, 0.03, 0.6, in_hand=True, count=30)
+    return scene(robot, poses, 0.03, 0.6, in_hand=name == "arm with camera", count=30)
 
 
-SCENES = slow_or_fuzz(["3RRR"], ["6UPS", "delta", "arm with camera"])
+SCENES = slow_or_fuzz(["3RRR"], ["6UPS", "delta", "arm with camera", "arm with board"])
 
 
 @pytest.mark.parametrize("name", SCENES)

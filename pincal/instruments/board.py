@@ -89,12 +89,9 @@ class Board:
                 f"a square of {self.square:g} m, a marker of {self.marker:g} m; expected lengths "
                 "above 0, and the marker within its square"
             )
-        defaults = {
-            "marker": self.marker or round(SHARE * self.square, 9),
-            "dictionary": self.dictionary or DICTIONARIES.get(self.kind, "4X4_250"),
-        }
-        for field_name, value in defaults.items():
-            object.__setattr__(self, field_name, value)
+        words = self.dictionary or DICTIONARIES.get(self.kind, "4X4_250")
+        object.__setattr__(self, "dictionary", words)
+        object.__setattr__(self, "marker", self.marker or round(SHARE * self.square, 9))
 
     @property
     def size(self) -> tuple[float, float]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError
@@ -280,10 +281,7 @@ class Camera:
         return np.repeat(visible & (self.facing(poses, values) > _STEEPEST), 2, axis=1)
 
     def facing(self, poses: Array, values: Array) -> Array:
-        """Return cosines of lines of sight to the markers' normal, (N, M); below 0 from behind.
-
-        1 where markers can be read from any side.
-        """
+        """Return cosines of lines of sight to the normal, (N, M): below 0 from behind."""
         place, _, on_holder, *_ = self._parts(values)
         T, _, moved = self._carried(poses, values)
         if self.markers.normal is None:
@@ -296,46 +294,35 @@ class Camera:
         """Return pixels by which hand–eye calibration misses photos that it has not seen, and m.
 
         Every second photo is predicted by the others; shapes (N, r), [px] and, across the line of
-        sight, [m]. None of too few photos of known points.
-
-        Args:
-            poses: T_frame_platform of the machine as it is drawn, shape (N, 4, 4).
-            measured: Pixels, shape (N, r), NaN where not seen.
+        sight, [m]. None of too few photos of known points. Poses are T_frame_platform of the
+        machine as it is drawn, (N, 4, 4), measured pixels NaN where not seen.
 
         Raises:
             ModuleNotFoundError: OpenCV is not installed.
         """
+        free = replace(self, known=False, markers=replace(self.markers, known=False))
         listed = [point is not None for point in self.markers.points.values()]
         points = np.array([point for point in self.markers.points.values() if point is not None])
         rays = self.lens.rays(measured.reshape(len(poses), -1, 2))[:, listed]
         boards = [board_in_camera(points, of_photo) for of_photo in rays]
-        by_photo = {row: board for row, board in enumerate(boards) if board is not None}
-        rows = np.array([*by_photo])
-        T = self._carried(poses, np.array([p.nominal for p in self.parameters]))[0]
+        rows = np.array([row for row, board in enumerate(boards) if board is not None])
+        begun = {parameter.id: parameter.nominal for parameter in free.parameters}
+        T = free._carried(poses, np.array([*begun.values()]))[0]
         missed = np.full((2, *measured.shape), np.nan)
         for half, unseen in ((rows[::2], rows[1::2]), (rows[1::2], rows[::2])):
             if len(half) < _FEWEST:
                 return None
-            ends = by_hand_eye(T[half], np.stack([by_photo[i] for i in half.tolist()]))
-            (position, turn), (on, turned) = (
-                (tuple(end[:3, 3]), tuple(Rotation.from_matrix(end[:3, :3]).as_rotvec()))
-                for end in ends
-            )
-            markers = replace(self.markers, at=on, rotation=turned, known=True)
-            placed = replace(self, at=position, rotation=turn, known=True, markers=markers)
-            values = np.array([parameter.nominal for parameter in placed.parameters])
-            missed[0, unseen] = placed.evaluate(poses[unseen], values, measured[unseen])[0]
-            missed[1, unseen] = missed[0, unseen] * placed.metres_per_pixel(poses[unseen], values)
+            ends = by_hand_eye(T[half], np.array([boards[i] for i in half]))
+            for owner, end in zip((self.name, self.markers.name), ends, strict=True):
+                turn = Rotation.from_matrix(end[:3, :3]).as_rotvec()
+                begun |= _numbers_of(owner, np.concatenate((end[:3, 3], turn)))
+            values = np.array([begun[parameter.id] for parameter in free.parameters])
+            missed[0, unseen] = free.evaluate(poses[unseen], values, measured[unseen])[0]
+            missed[1, unseen] = missed[0, unseen] * free.metres_per_pixel(poses[unseen], values)
         return missed[0], missed[1]
 
     def begin(self, poses: Array, measured: Array, known: Mapping[str, float]) -> Array:
-        """Return values of its parameters from which a search may begin, shape (p,).
-
-        Args:
-            poses: T_frame_platform of the nominal machine, shape (N, 4, 4).
-            measured: Pixels, shape (N, r), NaN where not seen.
-            known: Values by id that other cameras share with it.
-        """
+        """Return values of its parameters from which a search begins, (p,): see ``Instrument``."""
         values = np.array([known.get(p.id, p.nominal) for p in self.parameters])
         if self.known:
             return values
@@ -366,12 +353,8 @@ def _matrix(place: Array) -> Array:
 
 def _jacobian(vector: Array) -> Array:
     """Return the turn of a change of a rotation vector, shape (3, 3): its left Jacobian."""
-    x, y, z = vector
-    S, angle = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), float(np.linalg.norm(vector))
-    if angle < 1e-4:
-        return np.eye(3) + S / 2 + S @ S / 6
-    a, b = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
-    return np.asarray(np.eye(3) + a * S + b * S @ S)
+    S = np.cross(vector, np.eye(3)).T  # the Jacobian is the integral of exp(s S), s from 0 to 1
+    return np.asarray(expm(np.block([[S, np.eye(3)], [np.zeros((3, 6))]]))[:3, 3:])
 
 
 def _looking(position: Point, towards: Point) -> Point:

@@ -89,11 +89,7 @@ class Lens:
         keep("focal", tuple(f.tolist()))
         keep("centre", tuple(array_of(middle, (2,), "centre of an image [px]", error).tolist()))
         keep("distortion", tuple(number_of(k, "a coefficient of distortion", error) for k in d))
-        keep("sigmas", self._sigmas())
-
-    def _sigmas(self) -> dict[str, float]:
-        """Return standard deviations of what is not known, checked."""
-        sigmas, error = self.unknown, MeasurementError
+        sigmas = self.unknown
         if isinstance(sigmas, bool):
             sigmas = dict.fromkeys(self.names, np.inf) if sigmas else {}
         for name, sigma in must_be(sigmas, Mapping, "unknown of a lens", error).items():
@@ -102,7 +98,7 @@ class Lens:
                     f"unknown of lens {self.name!r}: {name}: {sigma}; expected standard deviations "
                     f"above 0 of some of {', '.join(self.names)}"
                 )
-        return dict(sigmas)
+        keep("sigmas", dict(sigmas))
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -62,10 +62,7 @@ def pitch_faults(calibration: Calibration) -> tuple[Finding, ...]:
 def boards_behind(
     calibration: Calibration, poses: Array, external: External
 ) -> tuple[Finding, ...]:
-    """Return which flat boards a fit sees from behind: nothing else shows that they are mirrored.
-
-    Poses are coordinates in the base frame, shape (N, dof).
-    """
+    """Return which flat boards a fit sees from behind at its poses, (N, dof): mirrored ones."""
     matrices = external.frame @ calibration.mechanism.platform.matrices(poses)
     ids, extra = calibration.options.setup.device_parameters, calibration.measurements.extra
     values, behind = dict(zip(ids, external.instruments.tolist(), strict=True)), dict[str, None]()
