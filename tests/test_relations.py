@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import openpyxl
 import pytest
-from command_line import done
+from command_line import done, run
 from differences import assert_observed
 from known_machines import machine, shape_error
 from scipy.optimize import least_squares
@@ -339,3 +339,14 @@ def test_sheets_are_read_back_half_filled(ending: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(data.poses, 1e-2 * filled[:, :2])
     np.testing.assert_allclose(data.readings, np.radians(filled[:, 2:]))
     assert data.sets == chosen.sets[:5]
+
+
+def test_distances_need_all_legs_at_once(tmp_path: Path) -> None:
+    """Pairs beside measured poses are refused where each leg is alone, by what to leave out."""
+    rows, table = tmp_path / "rows.csv", tmp_path / "pairs.csv"
+    plan = pincal.Plan(pincal.sample_workspace("5R", 12, seed=0))
+    pincal.simulate("5R", pincal.load_mechanism("5R"), plan).measurements.to_csv(rows, "5R")
+    table.write_text("row a,row b,distance [mm]\n1,2,300\n")
+    alone = run("calibrate", "5R", rows, "--pairs", table, "--method", "per-leg", "-o", "r")
+    assert alone.code == 2
+    assert "leave out --method per-leg" in alone.trouble

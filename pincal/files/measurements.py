@@ -124,7 +124,7 @@ def read_measurements(
         poses = _levelled(table, setup, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
     unknown = unknown_columns(table, known)
-    extra, sigma_extra = _quantities(table, further, pixels, partial=partial)
+    extra, sigma_extra = _quantities(table, further, pixels, partial=partial or bool(named))
     if not partial and not np.isfinite(np.column_stack((poses, *(extra | pixels).values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     data = Measurements(
