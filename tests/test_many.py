@@ -202,7 +202,7 @@ def test_any_number_of_workers_gives_the_same_table(plan: Path, tmp_path: Path) 
     texts = [made(f"{count}.csv", workers=count).read_bytes() for count in (1, 2)]
     assert texts[0] == texts[1]
     cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", host="127.0.0.1"
     )
     with cluster:
         victims = [worker.pid for worker in cluster.workers.values()]
