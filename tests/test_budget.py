@@ -25,7 +25,7 @@ LINES = {
     "kinematics": 3_323,
     "model": 3_636,
     "show": 4_519,
-    "symmetry": 1_378,
+    "symmetry": 1_382,
     "words": 1_002,
     "workspace": 1_508,
 }

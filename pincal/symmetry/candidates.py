@@ -52,8 +52,6 @@ class LegImages:
         first, second = (spread if spread > ALIKE * self.size else 0.0 for spread in spreads)
         self.spreads = first or self.size, second or first or self.size
         """Largest distance of base points from their centre, and of platform points, [m]."""
-        distances = (np.linalg.norm(p[:, None] - p, axis=2) for p in bodies)
-        self._apart = [d / spread for d, spread in zip(distances, self.spreads, strict=True)]
         self._least_rank = mechanism.platform.space - 1  # of points that fix an isometry
         turning = bool(mechanism.platform.turns)
         self._free = turning and all(self._rank(p) >= self._least_rank for p in bodies)
@@ -113,6 +111,12 @@ class LegImages:
         bodies = (self.base, element.base), (self.platform, element.platform)
         gaps = (np.linalg.norm(applied(G, p)[:, None] - p, axis=2) for p, G in bodies)
         return np.maximum(*(d / spread for d, spread in zip(gaps, self.spreads, strict=True)))
+
+    @cached_property
+    def _apart(self) -> list[Array]:
+        """How far base points are from each other, and platform points, over their spreads."""
+        bodies = zip((self.base, self.platform), self.spreads, strict=True)
+        return [np.linalg.norm(p[:, None] - p, axis=2) / spread for p, spread in bodies]
 
     @cached_property
     def candidates(self) -> list[Element]:
