@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 628,
-    "calibration": 6_746,
+    "calibration": 6_758,
     "cli": 2_972,
     "design": 2_317,
     "estimation": 4_890,

@@ -162,6 +162,7 @@ def run(
         return result, fits, [f"no held-out validation: {error}"]
 
 
+_BLAME_EVALUATIONS = 200  # the others fit each other in tens, if any do
 _FEW = 0.25  # of the rows: more that do not fit are no outliers
 #: Findings that follow from wrong rows.
 _FOLLOW = CONTRADICTING - {"terms-chosen"} | {"bad-rows", "outliers"}
@@ -176,7 +177,8 @@ def blame_wrong_rows(
     what is left out. What only follows from these rows is no longer said.
     """
     try:
-        fits = fitted(result.calibration.with_options(loss="reject"))
+        calibration = result.calibration.with_options(loss="reject")
+        fits = fitted(calibration, patience=_BLAME_EVALUATIONS)
         robust = assemble(fits)
     except (PincalError, np.linalg.LinAlgError):  # rows that fit may not determine all
         return findings, result.outliers

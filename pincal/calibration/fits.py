@@ -127,14 +127,20 @@ class Fits:
         return values
 
 
-def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None = None) -> Fits:
+def fitted(
+    calibration: Calibration,
+    near: Fits | None = None,
+    rows: Mask | None = None,
+    patience: int | None = None,
+) -> Fits:
     """Return the fits of a calibration, the noise estimated by group if it was not given.
 
     Near are fits of all legs at once near which the optimum is, from which the search begins; rows,
-    shape (N,), which of theirs these are, if they are of more rows, or fewer terms.
+    shape (N,), which of theirs these are, if they are of more rows, or fewer terms. A search of all
+    legs at once takes as many evaluations as there is patience, or a usual number.
     """
     latent = calibration.options.latent
-    fits = _all_legs(calibration, near, rows) if latent else _measured(calibration)
+    fits = _all_legs(calibration, near, rows, patience) if latent else _measured(calibration)
     known = calibration.fixed_noise or calibration.noise.known
     return fits if known else _with_estimated_noise(fits)
 
@@ -199,9 +205,12 @@ def _agree(noise: Noise, estimate: Noise) -> bool:
 
 
 def _all_legs(
-    calibration: Calibration, begin: Fits | None = None, rows: Mask | None = None
+    calibration: Calibration,
+    begin: Fits | None = None,
+    rows: Mask | None = None,
+    patience: int | None = None,
 ) -> Fits:
-    """Return the fit of all legs, poses and frames at once; ``begin`` and rows as in ``fitted``."""
+    """Return the fit of all legs, poses and frames at once; arguments as in ``fitted``."""
     mechanism, options = calibration.mechanism, calibration.options
     if not calibration.counts.any():
         raise ObservabilityError(
@@ -217,7 +226,8 @@ def _all_legs(
     free = unknowns.held(gauge.constraints) if gauge.found else unknowns
     options.report("identifying all legs and poses")
     known, former, held = calibration.noise.known, begin if rows is None else None, None
-    system = System(problem, free, calibration.counts, known, progress=options.progress)
+    counts, progress = calibration.counts, options.progress
+    system = System(problem, free, counts, known, max_evaluations=patience, progress=progress)
     if options.holds:
         fit, held = _fit_holding(calibration, system, start, former)
     else:
@@ -281,7 +291,7 @@ def _fit_holding(
         elif held_before and held.directions.shape[1] > held_before.directions.shape[1]:
             begin, near = nominal, False  # there what is held besides is held
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
-        patience = _PATIENCE if may_hold_more else None
+        patience = _PATIENCE if may_hold_more else system.max_evaluations
         holding = replace(system, unknowns=held.unknowns, max_evaluations=patience)
         try:
             fit = robust_fit(mechanism, holding, loss, begin, near=near)
