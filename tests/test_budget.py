@@ -18,7 +18,7 @@ LINES = {
     "calibration": 6_758,
     "cli": 2_972,
     "design": 2_317,
-    "estimation": 4_890,
+    "estimation": 4_891,
     "files": 3_400,
     "formats": 3_625,
     "instruments": 1_532,

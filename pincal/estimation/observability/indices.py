@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr
+from scipy.linalg import qr, svd
 
 from pincal.estimation.problem import Problem
 from pincal.estimation.relations import at_touch, touching
@@ -82,7 +82,8 @@ def scaled_axes(J: Array) -> tuple[Array, Array, Array]:
     """
     lengths = np.linalg.norm(J, axis=0)
     lengths[lengths == 0.0] = 1.0
-    _, s, axes = np.linalg.svd(np.linalg.qr(J / lengths, mode="r"), full_matrices=True)
+    triangle = np.linalg.qr(J / lengths, mode="r")
+    _, s, axes = svd(triangle, lapack_driver="gesvd")  # divide and conquer may not converge
     return lengths, s, axes
 
 
