@@ -21,7 +21,7 @@ LINES = {
     "estimation": 4_891,
     "files": 3_400,
     "formats": 3_625,
-    "instruments": 1_532,
+    "instruments": 1_537,
     "kinematics": 3_323,
     "model": 3_636,
     "show": 4_519,

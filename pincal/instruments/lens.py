@@ -76,15 +76,7 @@ class Lens:
                 f"the focal length of lens {self.name!r} is {self.focal}; it is above 0"
             )
         middle = [(side - 1) / 2 for side in size] if self.centre is None else self.centre
-        known = self.distortion is not None or not self.unknown
-        usual = () if known else (0.0,) * (4 if self.fisheye else 5)
-        d = usual if self.distortion is None else self.distortion
-        if len(d) not in _COUNTS[must_be(self.fisheye, bool, "fisheye of a lens", error)]:
-            raise MeasurementError(
-                f"lens {self.name!r} has {len(d)} coefficients of distortion; expected "
-                f"{' or '.join(map(str, _COUNTS[self.fisheye]))}, in OpenCV's order "
-                f"{', '.join(FISHEYE if self.fisheye else PLANE)}"
-            )
+        d = self._coefficients()
         keep("size", size)
         keep("focal", tuple(f.tolist()))
         keep("centre", tuple(array_of(middle, (2,), "centre of an image [px]", error).tolist()))
@@ -99,6 +91,19 @@ class Lens:
                     f"above 0 of some of {', '.join(self.names)}"
                 )
         keep("sigmas", dict(sigmas))
+
+    def _coefficients(self) -> tuple[float, ...]:
+        """Return the coefficients of distortion, zeros where they are unknown."""
+        counts = _COUNTS[must_be(self.fisheye, bool, "fisheye of a lens", MeasurementError)]
+        if self.distortion is None:
+            return (0.0,) * (4 if self.fisheye else 5) if self.unknown else ()
+        if len(self.distortion) not in counts:
+            raise MeasurementError(
+                f"lens {self.name!r} has {len(self.distortion)} coefficients of distortion; "
+                f"expected {' or '.join(map(str, counts))}, in OpenCV's order "
+                f"{', '.join(FISHEYE if self.fisheye else PLANE)}"
+            )
+        return self.distortion
 
     @cached_property
     def names(self) -> tuple[str, ...]:
