@@ -35,9 +35,9 @@ def sizes(kind: str, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     found: dict[str, Any] = {}
     for one in ARCHITECTURES[kind].dimensions:
-        value = float(one.default) * found[one.of] if one.of else one.default
+        value = float(one.default) * found[one.multiple_of] if one.multiple_of else one.default
         if one.unit:
-            value *= rng.uniform(0.97, 1.03) * (1.0 if one.of or one.unit == "rad" else 2.0)
+            value *= rng.uniform(0.97, 1.03) * (1.0 if one.multiple_of or one.unit == "rad" else 2.0)
         found[one.name] = value
     if kind == "hexapod":
         found["zero_length"] = 0.2

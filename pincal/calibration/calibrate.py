@@ -95,8 +95,9 @@ def explain(
 ) -> Explanation:
     """Return what a calibration's residuals follow, and which terms pay.
 
-    Arguments and errors are those of ``calibrate``. Other columns of numbers (temperature, time, …)
-    are tried too; ``terms`` are the kinds to try, all if none are given.
+    The mechanism, measurements, options, single_options and errors are those of ``calibrate``.
+    Other columns of numbers (temperature, time, …) are tried too; ``terms`` are the kinds to try,
+    all if none are given.
     """
     asked = Options.of(options, **single_options)
     return explained(prepared(mechanism, measurements, asked, terms=asked.terms or (AUTO,)))

@@ -156,7 +156,9 @@ def _inverse(T: Row, known: Row, near: Matrix | None) -> Solution:
             readings.append(value)
             reached = reached and settled
         if not reached and not reason:
-            reason = f"out of reach of {leg['name']} in its working mode"
+            sought = leg["form"]["kind"] and not near  # no formula: by steps, which may miss
+            reason = f"{'out of reach of' if sought else 'not found by steps:'} {leg['name']}"
+            reason += " in its working mode"
     return Solution(readings, joints, reason)
 
 

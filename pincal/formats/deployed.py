@@ -16,7 +16,7 @@ from math import pi
 from pathlib import Path
 from pprint import pformat
 from textwrap import fill
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -84,11 +84,16 @@ class Deployed:
         """What the files are."""
         return f"Kinematics of {_plain(self.mechanism.name)}, written by pincal {__version__}."
 
-    @cached_property
+    @property
     def tables(self) -> Table:
         """The tables of the machine, of which forward kinematics say the assembly mode of home."""
+        return cast(Table, self.kinematics.MACHINE)
+
+    @cached_property
+    def kinematics(self) -> Any:
+        """The module that is deployed: a copy of its own, with the tables of the machine."""
         spec: Any = find_spec(f"{__package__}.{_TEMPLATE.stem}")
-        kinematics: Any = module_from_spec(spec)  # a copy, with tables of its own
+        kinematics: Any = module_from_spec(spec)
         spec.loader.exec_module(kinematics)
         machine, platform, grid = self.mechanism, self.mechanism.platform, self.grid
         tables = kinematics.MACHINE = {
@@ -115,7 +120,7 @@ class Deployed:
             tables["grid"] = {**ends, "count": grid.count, "twists": Several("double", twists)}
         if kinematics.forward(tables["home_readings"]).reason.startswith(_LEFT):
             tables["assembly"] = -1.0
-        return tables
+        return kinematics
 
 
 def python_file(deployed: Deployed) -> str:

@@ -25,7 +25,6 @@ from pincal.formats import deployed as templates
 from pincal.formats.corrections import correction_grid, grid_columns
 from pincal.formats.data_sheet import deltakins, genhexkins, geometry_sheet
 from pincal.formats.deployed import Deployed, c_header, python_file
-from pincal.kinematics.configurations import inverse
 from pincal.model.checks import count_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
@@ -48,10 +47,13 @@ grid: poses, and what to command there; it is linear between. Poses that were no
 then missed by {}; without it by {}.
 """
 _log = logging.getLogger(__name__)
-_NEAR = {
-    False: "Give `near`, joints of the last call, where the machine may bend in several ways.",
-    True: "An arm reaches a pose in several ways: `near`, joints of the last call, say which.",
-}
+_NEAR = "Give `near`, joints of the last call, where the machine may bend in several ways."
+_ARM = (
+    "An arm reaches a pose in several ways: `near`, joints of the last call, say which. Without "
+    "them it is sought from home: so {} of {} poses of the workspace are found. `forward` of the "
+    "joints where the arm stands, which are its readings less offsets, begins a program."
+)
+_TRIED = 100  # poses of an arm that are sought from home
 
 
 @dataclass(frozen=True)
@@ -202,10 +204,20 @@ def _with_grid(
 def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str:
     """Return the page that says how to command the machine."""
     mechanism, platform = deployed.mechanism, deployed.mechanism.platform
-    near = {leg.name: leg.home[None] for leg in mechanism.legs}
-    at_home = inverse(mechanism, np.array([platform.home]), near=near).readings[0]
+    kinematics, poses, near = deployed.kinematics, np.array([platform.home]), _NEAR
+    if any(leg.is_arm for leg in mechanism.legs):
+        poses = np.vstack((poses, sample_workspace(mechanism, _TRIED)))
+    solutions = [kinematics.inverse(kinematics.pose(*pose)) for pose in poses.tolist()]
+    reached = [not solution.reason for solution in solutions]
+    shown = int(np.argmax(reached))  # home, if it is reached
+    if len(poses) > 1:
+        near = _ARM.format(sum(reached[1:]), len(poses) - 1)
+        _log.info(
+            "without near, %d of %d poses of the workspace are found", sum(reached[1:]), _TRIED
+        )
     names, counts = mechanism.reading_names, mechanism.counts
     units = zip(names, mechanism.reading_units, strict=True)
+    pairs = zip(names, solutions[shown].values, strict=True)
     frames = "Poses are T_base_platform, in the frame that the machine was measured in."
     if not (np.allclose(deployed.frame, np.eye(4)) and np.allclose(deployed.tool, np.eye(4))):
         frames = (
@@ -228,10 +240,10 @@ def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str
         PREFIX_READINGS=f"{prefix.upper()}_READINGS",
         PREFIX_JOINTS=f"{prefix.upper()}_JOINTS",
         further="| `linuxcnc.hal` | HAL lines for LinuxCNC's own kinematics |\n" * linuxcnc,
-        home=", ".join(repr(float(value)) for value in platform.home),
+        home=", ".join(map(repr, poses[shown].tolist())),
         coordinates=", ".join(platform.coordinates),
-        readings=", ".join(f"{n} = {v:.9g}" for n, v in zip(names, at_home, strict=True)),
-        near=_NEAR[any(leg.is_arm for leg in mechanism.legs)],
+        readings=", ".join(f"{n} = {v:.9g}" for n, v in pairs),
+        near=near,
         units="\n".join(f"| {n} | {unit} | {counts.get(n) or '–'} |" for n, unit in units),
         frames=frames,
         influences=influences,
