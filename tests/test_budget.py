@@ -21,7 +21,7 @@ LINES = {
     "estimation": 4_891,
     "files": 3_400,
     "formats": 3_632,
-    "instruments": 1_537,
+    "instruments": 1_556,
     "kinematics": 3_323,
     "model": 3_636,
     "show": 4_531,

@@ -36,9 +36,12 @@ _STILL = 1e-6  # motion of the platform over its distance, below which it stands
 def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, Array] | None:
     """Return place and rotation vector of a camera, (6,), and points, (M, 3), NaN if never seen.
 
-    Of T, poses of what carries the points, (N, 4, 4), unit rays in axes of the camera, (N, M, 3),
-    NaN where not seen, and points in the frame that moves, (M, 3), if known. None where too little
-    was seen, or the machine's positions do not change.
+    None where too little was seen, or the machine's positions do not change.
+
+    Args:
+        T: Poses of what carries the points, shape (N, 4, 4).
+        rays: Unit vectors in axes of the camera, shape (N, M, 3); NaN where not seen.
+        points: Where the points are in the frame that moves, shape (M, 3), if known.
     """
     counts = np.isfinite(rays[..., 0])
     often = np.argsort(-counts.sum(axis=0), kind="stable")[:_POINTS]
@@ -47,7 +50,7 @@ def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, 
     if len(rows) < 4 or not extent.max() > _STILL:
         return None
     draw, candidates = np.random.default_rng(0), []
-    known = np.full((len(often), 3), np.nan) if points is None else points[often]
+    known = None if points is None else points[often]
     for _ in range(_DRAWS if len(rows) > _POSES // 4 else 1):
         drawn = draw.choice(rows, min(_POSES, max(4, len(rows) // 2)), replace=False)
         part = _Rays(T[drawn], rays[np.ix_(drawn, often)], known)
@@ -59,19 +62,18 @@ def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, 
     for _ in range(_ROUNDS):
         bundle = bundle.without(turn)
         turn = bundle.sought(turn)
-    place = bundle.solution(turn)[0]
-    if points is None:
-        seen = _Rays(T, rays, np.full(rays.shape[1:], np.nan), place)
-        points = np.where(seen.seen.sum(axis=0)[:, None] > 1, seen.solution(turn)[1], np.nan)
-    return np.concatenate((place, turn)), points
+    place = np.concatenate((bundle.solution(turn)[0], turn))
+    if points is not None:
+        return place, points
+    final = _Rays(T, rays, None)
+    return place, final.points_from(place)
 
 
 class _Rays:
     """Rays that points are seen along at poses: their misses for a rotation of the camera."""
 
-    def __init__(self, T: Array, rays: Array, points: Array, place: Array | float = np.nan) -> None:
-        """Hold rays, points, (M, 3), and place of the camera, (3,); NaN where not known."""
-        self.T, self.known = T, np.vstack((np.broadcast_to(place, 3), points))
+    def __init__(self, T: Array, rays: Array, points: Array | None) -> None:
+        self.T, self.points = T, points
         self.seen = np.isfinite(rays[..., 0])
         self.rays = np.where(self.seen[:, :, None], rays, 0.0)
 
@@ -84,21 +86,26 @@ class _Rays:
     def solution(self, turn: Array) -> tuple[Array, Array, Array]:
         """Return the place, (3,), points, (M, 3), and what rays then miss, (N, M, 3)."""
         A, (R, t) = self._across(turn), (self.T[:, :3, :3], self.T[:, :3, 3])
-        M, AR = A.shape[1], A @ R[:, None]
-        A_t, coupled = A @ t[:, None, :, None], AR.sum(axis=0)
+        M = A.shape[1]
+        AR = A @ R[:, None]
+        if self.points is not None:
+            fixed = (R @ self.points.T).transpose(0, 2, 1) + t[:, None]
+            b = (A @ fixed[..., None]).sum(axis=(0, 1))[:, 0]
+            place = np.linalg.lstsq(A.sum(axis=(0, 1)), b, rcond=1e-9)[0]
+            return place, self.points, (A @ (fixed - place)[..., None])[..., 0]
         normal, right = np.zeros((M + 1, 3, M + 1, 3)), np.zeros((M + 1, 3))
-        normal[0, :, 0], right[0] = A.sum(axis=(0, 1)), A_t.sum(axis=(0, 1))[:, 0]
-        normal[0, :, 1:], normal[1:, :, 0] = -coupled.transpose(1, 0, 2), -coupled.mT
-        each = np.arange(1, M + 1)
-        normal[each, :, each] = (R[:, None].mT @ AR).sum(axis=0)
-        right[1:] = -(R[:, None].mT @ A_t).sum(axis=0)[..., 0]
-        x, square = self.known.ravel(), normal.reshape(right.size, right.size)
-        free = np.isnan(x)
-        sides = right.ravel()[free] - square[np.ix_(free, ~free)] @ x[~free]
-        x[free] = np.linalg.lstsq(square[np.ix_(free, free)], sides, rcond=1e-9)[0]
-        place, *points = x.reshape(-1, 3)
-        y = (R @ np.transpose(points)).transpose(0, 2, 1) + (t - place)[:, None]
-        return place, np.array(points), (A @ y[..., None])[..., 0]
+        normal[0, :, 0] = A.sum(axis=(0, 1))
+        A_t = (A @ t[:, None, :, None])[..., 0]
+        right[0] = A_t.sum(axis=(0, 1))
+        coupled = AR.sum(axis=0)
+        for m in range(M):
+            normal[m + 1, :, m + 1] = np.einsum("nji,njk->ik", R, AR[:, m])
+            normal[0, :, m + 1], normal[m + 1, :, 0] = -coupled[m], -coupled[m].T
+            right[m + 1] = -np.einsum("nji,nj->i", R, A_t[:, m])
+        size = 3 * (M + 1)
+        x = np.linalg.lstsq(normal.reshape(size, size), right.ravel(), rcond=1e-9)[0].reshape(-1, 3)
+        y = (R @ x[1:].T).transpose(0, 2, 1) + (t - x[0])[:, None]
+        return x[0], x[1:], (A @ y[..., None])[..., 0]
 
     def cost(self, turn: Array) -> float:
         """Return the median distance of rays from their points; infinite if most are behind."""
@@ -122,7 +129,16 @@ class _Rays:
         missed = np.linalg.norm(self.solution(turn)[2], axis=2)
         usual = np.median(missed[self.seen])
         good = self.seen & (missed <= _GROSS * usual)
-        return _Rays(self.T, np.where(good[:, :, None], self.rays, np.nan), self.known[1:])
+        return _Rays(self.T, np.where(good[:, :, None], self.rays, np.nan), self.points)
+
+    def points_from(self, place: Array) -> Array:
+        """Return points by the rays of a camera that is placed, (M, 3); NaN if seen too rarely."""
+        A, R = self._across(place[3:]), self.T[:, None, :3, :3]
+        normal = (R.transpose(0, 1, 3, 2) @ A @ R).sum(axis=0)
+        offset = (place[:3] - self.T[:, :3, 3])[:, None, :, None]
+        right = (R.transpose(0, 1, 3, 2) @ A @ offset).sum(axis=0)
+        points = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ right
+        return np.where(self.seen.sum(axis=0)[:, None] > 1, points[..., 0], np.nan)
 
 
 def board_in_camera(points: Array, rays: Array) -> Array | None:
@@ -141,10 +157,13 @@ def board_in_camera(points: Array, rays: Array) -> Array | None:
 def by_hand_eye(T: Array, boards: Array) -> tuple[Array, Array]:
     """Return T_holder_camera and T_carrier_board, (4, 4), by a machine that is as it is drawn.
 
-    Of T_holder_carrier and boards T_camera_board, (N, 4, 4): T_holder_carrier T_carrier_board =
-    T_holder_camera T_camera_board, rotations first: vec R_holder_camera is the sum of
-    (R_camera_board ⊗ R) vec R_carrier_board (M. Shah 2013, as OpenCV's
+    Of T T_carrier_board = T_holder_camera T_camera_board, rotations first: vec R_holder_camera is
+    the sum of (R_camera_board ⊗ R) vec R_carrier_board (M. Shah 2013, as OpenCV's
     ``calibrateRobotWorldHandEye`` has it).
+
+    Args:
+        T: Poses of what carries the board, in the frame of what holds the camera, (N, 4, 4).
+        boards: T_camera_board, shape (N, 4, 4).
     """
     R, S = T[:, :3, :3], boards[:, :3, :3]
     K = sum(np.kron(S_i, R_i) for S_i, R_i in zip(S, R, strict=True))
