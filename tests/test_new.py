@@ -37,7 +37,8 @@ def sizes(kind: str, seed: int) -> dict[str, Any]:
     for one in ARCHITECTURES[kind].dimensions:
         value = float(one.default) * found[one.multiple_of] if one.multiple_of else one.default
         if one.unit:
-            value *= rng.uniform(0.97, 1.03) * (1.0 if one.multiple_of or one.unit == "rad" else 2.0)
+            fixed = one.multiple_of or one.unit == "rad"
+            value *= rng.uniform(0.97, 1.03) * (1.0 if fixed else 2.0)
         found[one.name] = value
     if kind == "hexapod":
         found["zero_length"] = 0.2

@@ -286,7 +286,7 @@ def test_distances_from_plan_to_report(tmp_path: Path) -> None:
     done("select", bar, "--distances", 6, "--count", 24, *noise, "-o", plan)
     assert "distance_6_to" in plan.read_text().partition("\n")[0]
     forecast = " ".join(done("identifiability", bar, plan, *noise).out.split())
-    assert "distance_6" in forecast
+    assert "distance_4, …, row_y" in forecast
     done("simulate", bar, plan, *noise, "-o", measured)
     lines = measured.read_text().splitlines()
     assert not {"x [m]", "y [m]"} & set(lines[0].split(","))
