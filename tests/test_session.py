@@ -312,11 +312,18 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     np.testing.assert_allclose(rows.poses, exact.poses, atol=1e-12)
     commanded = pincal.inverse("3RRR", machine.plan.poses[4:5]).readings
     np.testing.assert_allclose(rows.readings[1:], commanded, atol=2e-7)
-    monkeypatch.setattr(sys, "stdin", io.StringIO("u 2\nq\n"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("u 0\nr 99\nu 2\nq\n"))
     resumed = done(*command, "--accuracy", "0.2mm")
+    assert "there is no such row to undo" in resumed.err
+    assert "r 99: the plan has poses 1 to" in resumed.err
     assert "more poses for 0.2 mm" in resumed.out
     assert "warning: --accuracy was 0.0001 so far, and is now 0.0002" in resumed.err
     assert "noise" not in resumed.err
+    moved = pincal.disturb("3RRR", 1e-3, seed=1)
+    moved.save("moved")
+    refused = run("measure", "moved", *command[2:])
+    assert refused.code == 2
+    assert "s is a session of '3RRR', and '3RRR' has other parameters" in refused.err
     refused = run(*command, "--units", "m,rad")
     assert refused.code == 2
     assert "rows.csv has other columns than these options give" in refused.err

@@ -128,10 +128,11 @@ def _proportion(fits: Fits) -> list[Finding]:
     """Return a finding if some measured quantities are noisier than given, others less.
 
     Score test of variance components at the noise given: d = q − F 1 has the covariance 2 F, and
-    that of the noise itself where repeated rows show it.
+    that of the noise itself where repeated rows show it. Of legs alone, which share the noise of
+    poses, it says nothing.
     """
     noise = fits.calibration.noise
-    if not noise.known or any(fit.system.loss is not None for fit in fits.fits):
+    if not (fits.latent and noise.known) or any(fit.system.loss is not None for fit in fits.fits):
         return []
     moments = fits.moments
     readings = any(fit.problem.leg_block.sigma.any() for fit in fits.fits)

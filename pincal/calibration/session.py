@@ -244,7 +244,7 @@ class Session:
         try:
             checked = self._judge(self._read())
         except MeasurementError:
-            self.journal.undo()
+            self.journal.undo(len(self.journal.rows) - 1)
             raise
         self.chosen = None
         return checked
@@ -257,9 +257,9 @@ class Session:
         """Take the last row as it is, though it is off."""
         self._judge(self._read(), keep=True)
 
-    def undo(self, row: int = -1) -> None:
+    def undo(self, row: int | None = None) -> None:
         """Take a row back, the last if none is named."""
-        self.journal.undo(row)
+        self.journal.undo(len(self.journal.rows) - 1 if row is None else row)
         self._restart()
 
     def _read(self) -> Calibration:

@@ -93,7 +93,7 @@ def measure(
     """
     mechanism, path = pincal.load_mechanism(mech), session / "plan.csv"
     groups = session_options, options, noise
-    with working("looking at the poses"), _remembered(session, *groups) as groups:
+    with working("looking at the poses"), _remembered(session, mechanism, *groups) as groups:
         session_options, options, noise = groups
         setup = options.read_setup()
         if not path.is_file():
@@ -138,35 +138,52 @@ def measure(
 
 
 @contextmanager
-def _remembered(folder: Path, *groups: Any) -> Iterator[Any]:
+def _remembered(folder: Path, mechanism: Mechanism, *groups: Any) -> Iterator[Any]:
     """Yield options as typed, else as a session's folder has them; at the end it has these.
 
     Raises:
-        FileError: they cannot be read or written.
+        FileError: the session is of another machine; options cannot be read or written.
     """
-    path, answered = folder / "options.json", list[Any]()
+    path = folder / "options.json"
     try:
         folder.mkdir(exist_ok=True)
-        stored: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.is_file() else {}
-        for group in groups:
-            known, default = stored.setdefault(type(group).__name__, {}), type(group)()
-            for column in (column for column in fields(group) if "option" in column.metadata):
-                value = getattr(group, column.name)
-                if value != getattr(default, column.name):
-                    value = str(value.absolute()) if isinstance(value, Path) else value
-                    if (before := known.get(column.name, value)) != value:
-                        warn(f"--{typed_name(column)} was {before} so far, and is now {value}")
-                    known[column.name] = value
-            names = {column.name for column in fields(group)}
-            answered.append(replace(group, **{n: v for n, v in known.items() if n in names}))
-        yield answered
-        new = path.with_suffix(".new")
-        new.write_text(json.dumps(stored, indent=1), encoding="utf-8")
-        new.replace(path)
+        before = path.read_text("utf-8") if path.is_file() else "{}"
+        stored: dict[str, Any] = json.loads(before)
+        _check_machine(folder, stored, mechanism)
+        yield [_as_stored(group, stored.setdefault(type(group).__name__, {})) for group in groups]
+        new, text = path.with_suffix(".new"), json.dumps(stored, indent=1)
+        if text != before:
+            new.write_text(text, encoding="utf-8")
+            new.replace(path)
     except FileError:
         raise
     except (OSError, json.JSONDecodeError) as error:
         raise FileError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _as_stored(group: Any, known: dict[str, Any]) -> Any:
+    """Return options as typed, else as they are known; what is typed is known from then on."""
+    default, columns = type(group)(), fields(group)
+    for column in (column for column in columns if "option" in column.metadata):
+        value = getattr(group, column.name)
+        if value != getattr(default, column.name):
+            value = str(value.absolute()) if isinstance(value, Path) else value
+            if (former := known.get(column.name, value)) != value:
+                warn(f"--{typed_name(column)} was {former} so far, and is now {value}")
+            known[column.name] = value
+    names = {column.name for column in columns}
+    return replace(group, **{name: value for name, value in known.items() if name in names})
+
+
+def _check_machine(folder: Path, stored: dict[str, Any], mechanism: Mechanism) -> None:
+    """Raise a FileError if what is stored of a session is of another machine; store this one."""
+    drawn = {parameter.id: parameter.nominal for parameter in mechanism.parameters}
+    name, values = stored.setdefault("mechanism", [mechanism.name, drawn])
+    if values != drawn:
+        raise FileError(
+            f"{folder} is a session of {name!r}, and {mechanism.name!r} has other parameters; "
+            "measure that one, or name another folder (--session)"
+        )
 
 
 @contextmanager

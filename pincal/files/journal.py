@@ -151,14 +151,14 @@ class Journal:
             append_lines(self.path, self.columns, [row])
         self.rows.append(row)
 
-    def undo(self, row: int = -1) -> None:
-        """Take a row back, the last if none is named, after a copy is on disk in ``undone.csv``.
+    def undo(self, row: int) -> None:
+        """Take a row back, after a copy is on disk in ``undone.csv``.
 
         Raises:
             FileError: it cannot be written, as on a full disk.
             MeasurementError: there is no such row.
         """
-        if not -1 <= row < len(self.rows) or not self.rows:
+        if not 0 <= row < len(self.rows):
             raise MeasurementError("there is no such row to undo")
         rows = self.rows.copy()
         undone, new = rows.pop(row), self.path.with_suffix(".new")

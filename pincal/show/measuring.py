@@ -115,12 +115,14 @@ def obeyed(session: Session, line: str, row: int, pattern: str | None = None) ->
     """
     match line.split():
         case ["u", *number] if all(map(str.isdecimal, number)) and len(number) < 2:
-            session.undo(int(number[0]) - 1 if number else -1)
+            session.undo(int(number[0]) - 1 if number else None)
         case ["k"]:
             session.keep()
         case ["s"]:
             session.skip(row)
-        case ["r", number] if number.isdecimal() and 0 < int(number) <= len(session.plan):
+        case ["r", number]:
+            if not (number.isdecimal() and 0 < int(number) <= len(session.plan)):
+                raise MeasurementError(f"r {number}: the plan has poses 1 to {len(session.plan)}")
             session.chosen = int(number) - 1
             return []
         case _:
