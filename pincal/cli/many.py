@@ -141,22 +141,23 @@ def _row(
 @command
 def batch(
     mech: Mech,
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A CSV of each machine.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A CSV or .xlsx of each machine.")],
     output: _Rows,
     options: Options,
     known: InputOptions,
     running: BatchOptions,
 ) -> None:
-    """Calibrate many machines, each from its CSV.
+    """Calibrate many machines, each from its table.
 
     All of one mechanism: the table has a row of each file with verdict, accuracy, χ² and
     parameters, or why it has no result. Machines whose parameters lie outside the control limits of
     the others are named. The table grows: files that are added later are done by the same command,
     those that changed again. Exit code 1 if a machine has no result, or a bad one.
     """
-    mechanism, files = load_mechanism(mech), sorted(folder.glob("*.csv"))
+    mechanism = load_mechanism(mech)
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".csv", ".xlsx"))
     if not (files := [path for path in files if path.resolve() != output.resolve()]):
-        raise FileError(f"{folder} has no *.csv; expected measurements of a machine in each")
+        raise FileError(f"{folder} has no tables; expected a .csv or .xlsx of each machine")
     items = [(path.name, sha256(path.read_bytes()).hexdigest()[:12]) for path in files]
     if running.results is not None:
         running.results.mkdir(parents=True, exist_ok=True)
