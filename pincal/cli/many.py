@@ -141,7 +141,9 @@ def _row(
 @command
 def batch(
     mech: Mech,
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A CSV or .xlsx of each machine.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="A CSV or .xlsx of each machine.")
+    ],
     output: _Rows,
     options: Options,
     known: InputOptions,

@@ -23,6 +23,7 @@ from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import is_folder
 from pincal.files.output import refuse_existing
 from pincal.files.table import read_table
+from pincal.model.checks import listed
 from pincal.option import option
 from pincal.show.charts import Plots
 from pincal.show.style import PAGE_WIDTH, drawing, picture_path, save_figure
@@ -89,9 +90,10 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
     complete: Mask = np.isfinite(plan.poses).all(axis=1).astype(bool)
     if not complete.all():
         advice = "pincal calibrate estimates them: show its RESULT in place of the measurements"
+        first, names = int(np.argmin(complete)), np.array(mechanism.platform.coordinates)
         missing = (
             f"{table}: {np.sum(~complete)} of {len(complete)} rows hold no whole pose, the first "
-            f"is in {plan.place(int(np.argmin(complete)))}"
+            f"is in {plan.place(first)}, without {listed(names[np.isnan(plan.poses[first])])}"
         )
         if not complete.any():
             raise MeasurementError(f"{missing}. {advice}")
