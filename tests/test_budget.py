@@ -16,7 +16,7 @@ LINES = {
     "": 261,
     "architectures": 628,
     "calibration": 6_760,
-    "cli": 2_994,
+    "cli": 2_995,
     "design": 2_317,
     "estimation": 4_891,
     "files": 3_400,

@@ -304,7 +304,8 @@ def _settle(session: Session, *, keep: bool) -> None:
     if session.questioned and keep:
         session.keep()
         return
-    place = -1 if session.questioned or not session.doubtful else session.doubtful[0]
+    last = len(session.measured) - 1
+    place = last if session.questioned or not session.doubtful else session.doubtful[0]
     row = session.measured[place]
     session.undo(place)
     session.skip(row)
