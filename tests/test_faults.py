@@ -198,17 +198,15 @@ REGION = "workspace 6UPS --kind total-orientation --axis tilt=0:0.05:0.001"
 REGION += " --axis torsion=-0.05:0.05:0.005"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "sent"),
-    quick(
-        1,
-        [
-            (REGION, signal.SIGINT),
-            (REGION, signal.SIGTERM),
-            ("select 5R --count 12 --candidates {}/candidates.csv --starts 1000000", signal.SIGINT),
-            ("calibrate 5R {}/many.csv", signal.SIGINT),
-        ],
-    ),
+    [
+        (REGION, signal.SIGINT),
+        (REGION, signal.SIGTERM),
+        ("select 5R --count 12 --candidates {}/candidates.csv --starts 1000000", signal.SIGINT),
+        ("calibrate 5R {}/many.csv", signal.SIGINT),
+    ],
 )
 def test_an_interrupt_leaves_nothing(
     line: str, sent: signal.Signals, measured: Path, tmp_path: Path

@@ -140,6 +140,7 @@ def test_instruments_may_be_far_from_where_they_are_said(name: str, unknown_fram
     assert result["station.zero"].identified == pytest.approx(0.02, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_an_instrument_is_known_everywhere(tmp_path: Path) -> None:
     """In files, forecasts, validation, tables and reports."""
     robot, _, data = _measured("3RRR")
