@@ -91,7 +91,7 @@ def calibration(study: Study, poses: Array) -> dict[str, Array]:
         "selection",
         f"""Selections; each efficiency is against the bound of its own protocol. |R_ii| of the
         symmetric one differs between legs by at most
-        {spread:.0e}.""",
+        {max(spread, 1e-12):.0e}.""",
         {
             "selection": list(selections),
             "poses": [len(s.plan.poses) for s in selections.values()],
