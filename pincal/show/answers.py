@@ -211,7 +211,7 @@ def _limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str
     if not result.promises:
         return [f"no limit is stated: {unpromised(result)}"] if result.contradictions else []
     parts = [UNCOVERED[code] for code in errors.inside.uncovered]
-    return [f"excluded: {', '.join(parts)}"] if parts else []
+    return [f"without {', '.join(parts)}"] if parts else []
 
 
 def summary(
