@@ -19,7 +19,7 @@ LINES = {
     "cli": 2_995,
     "design": 2_317,
     "estimation": 4_891,
-    "files": 3_400,
+    "files": 3_404,
     "formats": 3_632,
     "instruments": 1_556,
     "kinematics": 3_323,
