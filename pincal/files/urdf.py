@@ -88,7 +88,7 @@ def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
 def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
     """Return what to say of a <robot>'s elements and attributes that are not URDF's."""
     remarks: dict[str, str] = {}
-    for name in set(robot.attrib) - {"name", "version"}:
+    for name in sorted({*map(str, robot.attrib)} - {"name", "version"}):
         remarks[name] = f"{path}, line {robot.sourceline}: {name!r} of the <robot> is not read"
     for origin in robot.findall("link/origin"):
         remarks["origin"] = f"{path}, line {origin.sourceline}: <origin> of a <link> is not read"
