@@ -21,6 +21,7 @@ from scipy.stats import chi2
 
 import pincal
 from pincal.estimation.observation import Observation
+from pincal.show.view.scene import calibrated, scene
 
 Array = np.ndarray
 TIP = np.array([0.12, -0.05, 0.08])
@@ -406,6 +407,11 @@ def test_sockets_from_plan_to_report(tmp_path: Path) -> None:
     report = done("calibrate", tmp_path / "arm", measured, "--setup", file, *noise, "-o", result)
     assert "best-fit frames and scale" in " ".join(report.out.split())
     loaded_result = pincal.load_result(result)
+    drawn = calibrated(scene(robot, pincal.Plan(loaded_result.poses)), loaded_result).layers
+    dots = {layer.name: layer.points[0] for layer in drawn if layer.path.startswith("touched")}
+    places = _places(loaded_result)
+    for name in SOCKETS:
+        np.testing.assert_allclose(dots[f"socket_{name}"], places[name], atol=1e-12)
     assert loaded_result.options.setup.contacts["socket"].points == dict.fromkeys(SOCKETS)
     assert {part.name for part in loaded_result.observed} == {
         f"socket_{name}_{axis}" for name in SOCKETS for axis in "xyz"

@@ -1,4 +1,4 @@
-"""What a calibration adds to a view: arrows of misses."""
+"""What a calibration adds to a view: arrows of misses, and where instruments stand."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
-from pincal.show.view.scene import Scene, calibrated, misses_of, scene
+from pincal.show.view.scene import Scene, calibrated, misses_of, scene, stations
 
 NOISE = pincal.Noise(1e-5, 1e-5)
 OFF = np.array([2e-3, -1e-3])
@@ -71,6 +72,27 @@ def test_drawn_arrows_are_magnified(result: pincal.CalibrationResult, drawn: Sce
     assert layers["outlying"].name.endswith("1 longer than drawn")
 
 
+def test_tracker_stands_where_the_frame_says() -> None:
+    """A tracker at a place of its own frame is drawn where that is in the base frame."""
+    mechanism = pincal.load_mechanism("6UPS")
+    truth = pincal.disturb(mechanism, 1e-4, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.1, 0.1, (30, 6))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    data = pincal.simulate(mechanism, truth, plan, pincal.Noise(1e-6, 1e-6), 3).measurements
+    T = RigidTransform.from_components([1.5, 0.4, -0.2], Rotation.from_rotvec([0.02, 0.01, 0.7]))
+    seen = T * RigidTransform.from_matrix(mechanism.platform.matrices(data.poses))
+    moved = replace(data, poses=mechanism.platform.coordinates_of(seen))
+    tracker = pincal.Tracker(at=(0.1, 0.2, 0.3), range=1e-6, azimuth=1e-6, elevation=1e-6)
+    setup = pincal.Setup(unknown_frame=True, tracker=tracker)
+    noise = pincal.Noise(orientation=1e-6)
+    result = pincal.calibrate(mechanism, moved, noise=noise, setup=setup)
+    ((_name, T_base_station),) = stations(result)
+    expected = T.inv().apply([0.1, 0.2, 0.3])
+    np.testing.assert_allclose(T_base_station[:3, 3], expected, atol=2e-2)
+    page = pincal.view(mechanism, result.poses[:2]).with_result(result).html()
+    assert page.count("tracker, ") == 1
+
+
 def test_page_says_what_is_drawn(result: pincal.CalibrationResult) -> None:
     """The page names the factor of the arrows and the outliers."""
     view = pincal.view(result.nominal, result.poses, identified=result.identified)
@@ -102,3 +124,87 @@ def test_positions_alone_have_arrows_too() -> None:
     assert result.outside is not None
     F = result.outside.frame
     np.testing.assert_allclose(measured @ F[:3, :3].T + F[:3, 3], poses[:, :3], atol=1e-9)
+
+
+class Camera:
+    """Sees the platform's origin as two tangents, from a place that is to be found."""
+
+    name, columns = "camera", {"u": "m", "v": "m"}
+
+    def __init__(self, at: np.ndarray) -> None:
+        self.parameters = tuple(
+            pincal.Parameter("camera", axis, "m", value)
+            for axis, value in zip("xyz", at.tolist(), strict=True)
+        )
+
+    def evaluate(
+        self, poses: np.ndarray, values: np.ndarray, measured: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the tangents of the ray less those seen; it looks up along z."""
+        x, y, z = (poses[:, :3, 3] - values).T
+        zero = np.zeros_like(z)
+        by_point = np.stack(
+            [np.stack([1 / z, zero, -x / z**2], -1), np.stack([zero, 1 / z, -y / z**2], -1)], axis=1
+        )
+        by_twist = np.concatenate((by_point, np.zeros_like(by_point)), axis=2)
+        return np.column_stack((x / z, y / z)) - measured, by_twist, -by_point
+
+    def stand(self, values: np.ndarray) -> np.ndarray:
+        """Return T_frame_camera."""
+        T = np.eye(4)
+        T[:3, 3] = values
+        return T
+
+
+def seen_by_a_camera() -> tuple[pincal.CalibrationResult, np.ndarray]:
+    """Return the calibration of a hexapod that a camera below it saw too, and where that stood."""
+    mechanism = pincal.load_mechanism("6UPS")
+    truth = pincal.disturb(mechanism, 1e-4, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.1, 0.1, (30, 6))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    data = pincal.simulate(mechanism, truth, plan, pincal.Noise(1e-5, 1e-5), 3).measurements
+    at = np.array([0.2, -0.1, -1.0])
+    poses = mechanism.platform.matrices(data.poses)
+    read = Camera(at).evaluate(poses, at, np.zeros((30, 2)))[0]
+    noise = {"u": np.full(30, 1e-6), "v": np.full(30, 1e-6)}
+    both = replace(
+        data,
+        sigma_poses=np.full((30, 6), 1e-5),
+        extra={"u": read[:, 0], "v": read[:, 1]},
+        sigma_extra=noise,
+    )
+    setup = pincal.Setup(instruments=(Camera(at + 0.05),))
+    return pincal.calibrate(mechanism, both, setup=setup), at
+
+
+@pytest.mark.slow
+def test_a_camera_stands_where_it_was_found() -> None:
+    """An instrument that says where it stands is drawn there."""
+    result, at = seen_by_a_camera()
+    ((_name, T_base_station),) = stations(result)
+    np.testing.assert_allclose(T_base_station[:3, 3], at, atol=1e-3)
+    view = pincal.view(result.nominal, result.poses[:2]).with_result(result)
+    assert "camera, 1.02 m from the base frame" in view.html()
+
+
+@pytest.mark.slow
+def test_frame_of_the_measurements_is_where_it_was_found() -> None:
+    """Where it was unknown, as of a camera's poses, it is drawn; an odd place is refused."""
+    mechanism = pincal.load_mechanism("5R")
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    shift = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))
+    plan = pincal.Plan(mechanism.platform.home + shift)
+    data = pincal.simulate(mechanism, truth, plan, NOISE, 3).measurements
+    moved = replace(data, poses=data.poses + np.array([0.3, -0.2]))
+    result = pincal.calibrate(mechanism, moved, noise=NOISE, setup=pincal.Setup(unknown_frame=True))
+    ((name, T_base_station),) = stations(result)
+    np.testing.assert_allclose(T_base_station[:3, 3], [-0.3, 0.2, 0.0], atol=0.1)
+    assert name == "frame of the measurements"
+    assert not stations(calibration())
+    found, _ = seen_by_a_camera()
+    camera = found.options.setup.instruments[0]
+    camera.stand = lambda _: None  # type: ignore[attr-defined]  # the platform holds it
+    assert not stations(found)
+    camera.stand = lambda _: np.ones((4, 4))  # type: ignore[attr-defined]
+    with pytest.raises(pincal.MeasurementError, match="instrument 'camera' stands at"):
+        stations(found)

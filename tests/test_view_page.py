@@ -212,8 +212,8 @@ def test_what_is_not_reached_is_said(opened: Any) -> None:
     assert not problem.is_visible()
 
 
-def test_keys_and_buttons(opened: Any) -> None:
-    """Keys and buttons step, to the ends and not beyond."""
+def test_keys_buttons_and_play(opened: Any) -> None:
+    """Keys and buttons step, to the ends and not beyond; play goes on by itself, and stops."""
     window = opened(pincal.view(*plan("5R")))
     page, last = window.page, 6
     for key, place in (
@@ -235,6 +235,13 @@ def test_keys_and_buttons(opened: Any) -> None:
     assert window.pose() == 2
     page.locator("#back").click()
     assert page.locator("#count").inner_text() == "2 of 7"
+    page.locator("#slider").focus()
+    page.keyboard.press(" ")
+    page.wait_for_function("() => window.pincal.pose() >= 3")
+    page.locator("#play").click()
+    stopped = window.pose()
+    page.wait_for_timeout(1200)
+    assert window.pose() == stopped
     assert window.clean(), window.said
 
 
@@ -553,3 +560,18 @@ def test_dark_ground_has_its_own_colours(opened: Any) -> None:
     page.wait_for_function(first, arg=dark[0])
     assert page.evaluate(colours) == light
     assert window.clean(), window.said
+
+
+def test_slider_goes_from_nominal_to_identified(opened: Any) -> None:
+    """At its ends the identified machine is the nominal one and itself, between in between."""
+    mechanism, poses = plan("3RRR")
+    true = pincal.disturb(mechanism, 1e-3, seed=1)
+    view = pincal.view(mechanism, poses, identified=true)
+    window = opened(view)
+    identified = view.scene.magnified
+    assert identified is not None
+    ends = view.scene.body.placements[0], identified.placements[0]
+    for share in (0.0, 0.5, 1.0):
+        window.page.locator("#share").fill(str(share))
+        expected = (1 - share) * ends[0] + share * ends[1]
+        assert np.allclose(window.matrices(view, "identified"), expected, atol=1e-9)

@@ -213,6 +213,10 @@ class Camera:
         place, lens, markers = np.split(numbers, [6, 6 + len(self.lens.values)])
         return place, lens, markers[:6], float(markers[6]), markers[7:].reshape(-1, 3)
 
+    def stand(self, values: Array) -> Array | None:
+        """Return T_frame_camera, shape (4, 4); none if the platform holds it."""
+        return None if self.on_platform else _matrix(self._parts(values)[0])
+
     def _carried(self, poses: Array, values: Array) -> tuple[Array, Array, Array]:
         """Return T, (N, 4, 4), markers X in their holder's frame, (M, 3), and T X, (N, M, 3)."""
         _, _, on_holder, scale, points = self._parts(values)

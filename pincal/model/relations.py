@@ -248,8 +248,10 @@ Residuals: TypeAlias = tuple[Array, Array, Array]
 class Instrument(Protocol):
     """Anything that reads the platform's pose, in its own columns and with its own unknowns.
 
-    Further, if it has them: ``priors``, standard deviations of nominal values by id; ``shared``,
-    owners of parameters that other instruments have, too;
+    One that says where it stands is drawn there by a view of the result: by a method
+    ``stand(values)`` that returns T_frame_instrument, shape (4, 4), at values of its parameters;
+    None if the platform holds it. Further, if it has them: ``priors``, standard deviations of
+    nominal values by id; ``shared``, owners of parameters that other instruments have, too;
     ``begin(poses, measured, known)``, values from which a search begins, at poses of the nominal
     machine and values by id that others share; ``visible(poses, values)``, which columns it could
     measure at poses, shape (N, r), for plans and simulations; ``metres_per_pixel(poses, values)``,

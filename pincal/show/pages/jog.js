@@ -1,6 +1,6 @@
 // Moves the mechanism off its poses, by sliders and by dragging. Kinematics are Python's: the page
 // asks the server that it came from, and draws and writes what that answers.
-function Jog({ data, viewer, element, doubles, draw, reset }) {
+function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
   const { THREE } = MeshCat;
   const fields = document.getElementById("jog");
   let pose = 0; // from which sliders count
@@ -38,7 +38,10 @@ function Jog({ data, viewer, element, doubles, draw, reset }) {
     const input = element("input", "", label);
     Object.assign(input, { type: "range", min: -slider.most, max: slider.most, step: slider.most / 200 });
     const value = element("output", "", label);
-    input.addEventListener("input", () => go((wanted || offset).map((own, k) => (k === i ? input.valueAsNumber : own))));
+    input.addEventListener("input", () => {
+      halt();
+      go((wanted || offset).map((own, k) => (k === i ? input.valueAsNumber : own)));
+    });
     return { input, value };
   });
   const back = element("button", "reset", fields);
@@ -78,6 +81,7 @@ function Jog({ data, viewer, element, doubles, draw, reset }) {
     plane.setFromNormalAndCoplanarPoint(viewer.camera.getWorldDirection(new THREE.Vector3()), hit.point);
     held = { from: hit.point.clone(), offset: [...offset] };
     viewer.controls.enabled = false;
+    halt();
     event.stopImmediatePropagation();
     canvas.setPointerCapture(event.pointerId);
   }, { capture: true });

@@ -49,6 +49,7 @@
 
   for (const body of data.bodies) {
     body.matrices = doubles(body.matrices);
+    body.share = 1; // of what differs from the nominal machine that is drawn
     body.objects = body.paths.map((path) => node(path).object);
     body.shapes.forEach((shapes, part) => shapes.forEach((shape) => {
       const geometry = geometries[shape.kind](shape);
@@ -69,10 +70,12 @@
 
   function place(body, index) {
     // matrices hold columns of 3 for each part; NaN where it is not to be drawn
-    const own = drawn.matrices[index];
+    const [nominal, own] = [drawn.matrices[0], drawn.matrices[index]];
+    const mixed = body.share !== 1 && own && nominal.length === own.length;
     body.objects.forEach((object, part) => {
       if (body.paths[part].includes("/base/")) return; // stands still
-      const m = own ? own.subarray(12 * part, 12 * part + 12) : [NaN];
+      let m = own ? own.subarray(12 * part, 12 * part + 12) : [NaN];
+      if (mixed) m = m.map((value, i) => value * body.share + (1 - body.share) * nominal[12 * part + i]);
       object.visible = !Number.isNaN(m[0]);
       object.matrixAutoUpdate = false; // sheared parts have no quaternion
       if (object.visible) object.matrix.set(m[0], m[3], m[6], m[9], m[1], m[4], m[7], m[10], m[2], m[5], m[8], m[11], 0, 0, 0, 1);
@@ -157,11 +160,19 @@
     find("set").hidden = true;
   }
 
+  let timer = 0;
+
+  function play(on) {
+    clearInterval(timer);
+    timer = on ? setInterval(() => show((pose + 1) % poses), 600) : 0;
+    find("play").textContent = on ? "pause" : "play";
+  }
+
   const [{ matrices, paths }] = data.bodies;
   const platform = paths.indexOf(PLATFORM);
   const places = data.set.map((_, index) => turned(matrices.subarray(12 * (index * paths.length + platform) + 9)));
-  Dots({ data, pane, node, element, places, about, pixels, move, show });
-  const jog = window.Jog ? Jog({ data, viewer, element, doubles, draw: moved, reset: () => show(pose) }) : null;
+  Dots({ data, pane, node, element, places, about, pixels, move, show: (index) => [play(false), show(index)] });
+  const jog = window.Jog ? Jog({ data, viewer, element, doubles, halt: () => play(false), draw: moved, reset: () => show(pose) }) : null;
 
   function checkbox(parent, name, shown, change, colour) {
     const label = element("label", "", parent);
@@ -196,6 +207,16 @@
       if (on) others().forEach((other) => boxes[other.path].click());
     }, colour);
   });
+
+  if (data.bodies.length > 1) { // between the nominal machine and the identified one
+    const input = element("input", "", element("label", "nominal to identified", find("layers")));
+    Object.assign(input, { type: "range", id: "share", min: 0, max: 1, step: 0.02, value: 1 });
+    input.addEventListener("input", () => {
+      data.bodies[1].share = input.valueAsNumber;
+      place(data.bodies[1], 1);
+      if (!boxes["meshcat/identified"].checked) boxes["meshcat/identified"].click();
+    });
+  }
 
   const labels = Labels({ data, viewer, pane, node, element, coloured, turned, pixels, move });
   checkbox(find("layers"), "names of legs", true, labels.show);
@@ -235,14 +256,17 @@
 
   const steps = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, Home: -poses, End: poses };
   document.addEventListener("keydown", (event) => {
+    const typing = event.key === " " && ["BUTTON", "INPUT"].includes(event.target.tagName) && event.target.id !== "slider";
     const own = event.target.matches("select, input[type=range]:not(#slider)"); // these have keys of their own
-    if (!(event.key in steps) || own || event.ctrlKey || event.altKey || event.metaKey) return;
+    const ours = event.key === " " || event.key in steps;
+    if (!ours || typing || own || event.ctrlKey || event.altKey || event.metaKey) return;
     event.preventDefault();
-    show(pose + steps[event.key]);
+    if (event.key === " ") play(!timer);
+    else show(pose + steps[event.key]);
   });
   find("slider").max = poses;
   find("slider").addEventListener("input", (event) => show(event.target.valueAsNumber - 1));
-  const buttons = { back: () => show(pose - 1), forth: () => show(pose + 1), fit };
+  const buttons = { back: () => show(pose - 1), forth: () => show(pose + 1), play: () => play(!timer), fit };
   for (const [id, act] of Object.entries(buttons)) find(id).addEventListener("click", act);
   fit();
   show(0);

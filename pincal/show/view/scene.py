@@ -23,15 +23,16 @@ from pincal.kinematics.forward import forward
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.relations import ORIGIN
-from pincal.show.style import EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
+from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
 from pincal.show.view.bodies import Body, body
-from pincal.types import Array, Mask
+from pincal.types import Array, Index, Mask
 
 MOST_POSES = 2000
 VERIFICATION = "verification"  # what the set "verify" is called
 _TOWARDS_VIEWER = np.array([0.45, -0.85, 0.42])  # of a mechanism in space: slightly from above
 _SEEN = 0.03  # of the scene's size: errors of a machine that are seen
 _LONG, _LONGEST = 0.08, 0.5  # of the scene's size: a long arrow; where it is cut
+_TOUCHED = 7  # pixels of a point that targets touch
 _HEAD = 0.2  # of an arrow's length
 _STEPS, _STEP, _TURNS, _NEAR = 50, 0.5, 1e-3, 1e-4  # of dragging: most, longest; weight; met
 
@@ -281,13 +282,21 @@ def _carried(mechanism: Mechanism, plan: Plan, shift: Array) -> Plan:
 
 
 def calibrated(shown: Scene, result: CalibrationResult) -> Scene:
-    """Return a scene with what a calibration of its mechanism missed, if it converged.
+    """Return a scene with what a calibration of its mechanism found.
 
-    Arrows of rows that fit, and of outliers, magnified alike.
+    Arrows of rows that fit, and of outliers, magnified alike. Of a calibration that did not
+    converge, the places of instruments alone.
     """
     measured, shifts, outlying = misses_of(result)
     known = np.isfinite(np.hstack((measured, shifts))).all(axis=1) & result.converged
     layers = _arrow_layers(measured[known], shifts[known], outlying[known], shown.size)
+    for number, (name, T) in enumerate(stations(result), 1):
+        ends = T[:3, 3] + shown.body.axis * T[:3, :3].T
+        axes = np.stack((np.broadcast_to(T[:3, 3], (3, 3)), ends), axis=1)
+        text = f"{name}, {np.linalg.norm(T[:3, 3]):.3g} m from the base frame"
+        layers.append(Layer(f"stations/{number}", text, axes, DIMENSION))
+    for number, (name, place, _, _) in enumerate(touched_points(result), 1):
+        layers.append(Layer(f"touched/{number}", name, place[None], IDENTIFIED, pixels=_TOUCHED))
     misses = np.where(known, np.linalg.norm(shifts, axis=1), np.nan)
     return replace(shown, layers=(*shown.layers, *layers), misses=misses)
 
@@ -322,7 +331,7 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
     """Return points as measured, predicted less measured, and which of them are outliers.
 
     Base frame, shape (n_rows, 3), [m]; NaN where unknown: by the residuals of x, y and z, or of
-    poses that were measured in full by forward kinematics.
+    poses that were measured in full by forward kinematics. Of rows that touch, the point touched.
     """
     platform, outside = result.nominal.platform, result.outside
     observed = {block.name: block for block in result.observed}
@@ -344,4 +353,58 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
         poses = forward(machine, data.readings[whole], data.poses[whole], known).poses
         measured[:, :lengths] = np.where(whole[:, None], data.poses[:, :lengths], np.nan)
         shifts[whole, :lengths] = poses[:, :lengths] - measured[whole, :lengths]
+    for _, place, rows, missed in touched_points(result):
+        measured[rows], shifts[rows] = place, missed
     return measured, shifts, np.isin(np.arange(len(shifts)), [row.row for row in result.outliers])
+
+
+def touched_points(result: CalibrationResult) -> list[tuple[str, Array, Index, Array]]:
+    """Return name, place, rows and misses of each point that targets touch, base frame, [m]."""
+    setup, outside = result.options.setup, result.outside
+    outside = outside or result.calibration.observation.external.start
+    frame, blocks = outside.frame, {block.name: block for block in result.observed}
+    points = []
+    for (name, (_, _, contact)), place in zip(
+        setup.touched.items(), outside.features[:, :3], strict=False
+    ):
+        axes = [f"{name}_{axis}" for axis in "xyz"[: result.nominal.platform.space]]
+        if contact.shape != "point" or axes[0] not in blocks:
+            continue
+        missed = np.zeros((len(blocks[axes[0]].rows), 3))
+        missed[:, : len(axes)] = np.column_stack([blocks[axis].residuals for axis in axes])
+        turn, origin = frame[:3, :3], frame[:3, 3]
+        points.append((name, (place - origin) @ turn, blocks[axes[0]].rows, missed @ turn))
+    return points
+
+
+def stations(result: CalibrationResult) -> list[tuple[str, Array]]:
+    """Return names and ``T_base_station``, (4, 4), of what stands around: tracker, instruments.
+
+    Or of the frame of the measurements where it was unknown; of instruments that have a method
+    ``stand(values)`` that returns T_frame_instrument.
+
+    Raises:
+        MeasurementError: an instrument that stands at no rigid transform.
+    """
+    setup, outside = result.options.setup, result.outside
+    T_base_frame = np.eye(4) if outside is None else np.asarray(np.linalg.inv(outside.frame))
+    every: list[tuple[str, Array]] = []
+    if setup.tracker is not None:
+        T_frame_tracker = np.eye(4)
+        T_frame_tracker[:3, 3] = setup.tracker.at
+        every.append(("tracker", T_base_frame @ T_frame_tracker))
+    elif setup.unknown_frame:
+        every.append(("frame of the measurements", T_base_frame))
+    for device in setup.instruments:
+        values = np.array([result[parameter.id].identified for parameter in device.parameters])
+        if not hasattr(device, "stand") or (standing := device.stand(values)) is None:
+            continue
+        T = np.asarray(standing, dtype=np.float64)
+        R = T[:3, :3]
+        if T.shape != (4, 4) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
+            raise MeasurementError(
+                f"instrument {device.name!r} stands at an array of shape {T.shape}; expected "
+                "T_frame_instrument, a rigid transform of shape (4, 4)"
+            )
+        every.append((device.name, T_base_frame @ T))
+    return every
