@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arms import loaded
 from command_line import done
 from deployed import in_c, in_python
 from marks import quick
@@ -157,6 +159,26 @@ def test_what_is_not_determined_has_no_standard_error(tmp_path: Path) -> None:
     (length,) = [line for line in sheet if line.startswith("leg_1,rod length,")]
     assert length.split(",")[4] == ""
     assert "states no limit" in (tmp_path / "controller/commanding.md").read_text()
+
+
+@pytest.mark.slow
+def test_an_arm_says_which_poses_are_found_without_near(tmp_path: Path) -> None:
+    """So many of 100 as the file itself finds; the pose of its example is one of them, to 1e-9."""
+    robot = loaded("ur5")
+    pincal.deploy(robot, tmp_path / "controller")
+    page = (tmp_path / "controller/commanding.md").read_text()
+    found, tried = map(int, re.findall(r"(\d+) of (\d+) poses of the workspace are found", page)[0])
+    file = runpy.run_path(str(tmp_path / "controller/kinematics.py"))
+    poses = pincal.sample_workspace(robot, tried).tolist()
+    reached = [not file["inverse"](file["pose"](*pose)).reason for pose in poses]
+    assert sum(reached) == found < tried == 100
+    shown = re.findall(r"T = pose\((.*)\)  #", page)[0].split(", ")
+    T = file["pose"](*map(float, shown))
+    readings, _, reason = file["inverse"](T)
+    assert not reason
+    pose = pincal.forward(robot, np.array([readings])).poses
+    matrix = robot.platform.matrices(pose)[0, :3].ravel()
+    np.testing.assert_allclose(matrix, T, rtol=0.0, atol=1e-9)
 
 
 def test_terms_that_no_file_can_hold_are_refused(tmp_path: Path) -> None:

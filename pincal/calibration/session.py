@@ -390,10 +390,8 @@ def _doubtful(fits: Fits) -> tuple[int, float] | None:
     """
     fit = fits.fits[0]
     rows, r = np.flatnonzero(fit.good), fit.last.residuals[fit.good]
-    squares, equations = (
-        _squares(r, np.eye(r.shape[1]) - fit.Q @ fit.Q.mT),
-        fit.last.equations[rows],
-    )
+    equations = fit.last.equations[rows]
+    squares = _squares(r, np.eye(r.shape[1]) - fit.Q @ fit.Q.mT)
     chances = np.where(equations > 0, chdtrc(np.maximum(equations, 1), squares), 1.0)
     worst = int(chances.argmin())
     if chances[worst] * len(rows) >= FALSE_ALARM:

@@ -49,9 +49,9 @@ then missed by {}; without it by {}.
 _log = logging.getLogger(__name__)
 _NEAR = "Give `near`, joints of the last call, where the machine may bend in several ways."
 _ARM = (
-    "An arm reaches a pose in several ways: `near`, joints of the last call, say which. Without "
-    "them it is sought from home: so {} of {} poses of the workspace are found. `forward` of the "
-    "joints where the arm stands, which are its readings less offsets, begins a program."
+    "An arm reaches a pose in several ways: `near`, joints of the last call, say which; begin with "
+    "those of `forward`, at the readings where it stands. Without them the way is sought from "
+    "home: so {} of {} poses of the workspace are found."
 )
 _TRIED = 100  # poses of an arm that are sought from home
 
@@ -204,17 +204,16 @@ def _with_grid(
 def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str:
     """Return the page that says how to command the machine."""
     mechanism, platform = deployed.mechanism, deployed.mechanism.platform
-    kinematics, poses, near = deployed.kinematics, np.array([platform.home]), _NEAR
+    kinematics, tried = deployed.kinematics, np.empty((0, platform.dof))
     if any(leg.is_arm for leg in mechanism.legs):
-        poses = np.vstack((poses, sample_workspace(mechanism, _TRIED)))
+        tried = sample_workspace(mechanism, _TRIED)
+    poses = np.vstack((platform.home, tried))
     solutions = [kinematics.inverse(kinematics.pose(*pose)) for pose in poses.tolist()]
     reached = [not solution.reason for solution in solutions]
-    shown = int(np.argmax(reached))  # home, if it is reached
-    if len(poses) > 1:
-        near = _ARM.format(sum(reached[1:]), len(poses) - 1)
-        _log.info(
-            "without near, %d of %d poses of the workspace are found", sum(reached[1:]), _TRIED
-        )
+    shown, near = int(np.argmax(reached)), _NEAR  # home, if it is reached
+    if len(tried):
+        near = _ARM.format(sum(reached[1:]), len(tried))
+        _log.info("without near, %d of %d poses are found", sum(reached[1:]), len(tried))
     names, counts = mechanism.reading_names, mechanism.counts
     units = zip(names, mechanism.reading_units, strict=True)
     pairs = zip(names, solutions[shown].values, strict=True)
