@@ -19,8 +19,9 @@ legs = tuple(
 )
 machine = replace(robot, legs=legs)  # both encoders sit off their axes
 poses = pincal.sample_workspace(machine, 300, seed=1)
-found = pincal.corrections(machine, poses)
-shift = 1e3 * (found.commands - poses)
+readings = pincal.inverse(machine, poses).readings  # that take it there, terms included
+commands = pincal.forward(robot, readings, poses).poses  # where the controller believes it
+shift = 1e3 * (commands - poses)
 print(f"commands are moved by {np.linalg.norm(shift, axis=1).mean():.2f} mm on average")
 
 figure = Figure(figsize=(6, 4.6), layout="constrained")

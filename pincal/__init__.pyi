@@ -24,7 +24,6 @@ from .errors import (
 from .estimation.observability.indices import indices
 from .estimation.system import Loss
 from .files.mechanism_folders import load_mechanism
-from .formats.corrections import Corrections, corrections
 from .instruments.camera import Camera, Markers
 from .instruments.lens import Lens
 from .kinematics.collision import free_of_collision
@@ -61,7 +60,6 @@ __all__ = [
     "CalibrationResult",
     "Camera",
     "Contact",
-    "Corrections",
     "Distance",
     "Element",
     "End",
@@ -106,7 +104,6 @@ __all__ = [
     "accuracy",
     "calibrate",
     "compute_workspace",
-    "corrections",
     "cyclic",
     "deploy",
     "dihedral",

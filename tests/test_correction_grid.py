@@ -87,7 +87,7 @@ def test_what_has_no_grid_is_refused(tmp_path: Path) -> None:
     """More legs than freedoms; poses that do not determine readings; nothing is written."""
     for name, *typed, words in (
         ("4cable", "--grid", 8, "more legs than freedoms"),
-        ("3RPS", "--grid", 8, "pincal.corrections"),
+        ("3RPS", "--grid", 8, "pincal inverse"),
         ("5R", "--grid", 8, "--controller", "3RRR", "3RRR moves x, y, phi, 5R moves x, y"),
         ("5R", "--box", "x=0..1", "are for --grid"),
     ):
@@ -99,35 +99,34 @@ def test_what_has_no_grid_is_refused(tmp_path: Path) -> None:
         pincal.deploy("5R", tmp_path / "c", grid=-5)
 
 
-def test_poses_of_a_program_are_corrected_for_an_arm(tmp_path: Path) -> None:
-    """What the nominal arm's readings lack takes the true arm to the program's poses; so do poses.
+def test_poses_of_a_program_are_commanded_otherwise_of_an_arm(tmp_path: Path) -> None:
+    """``inverse`` near the program's readings, then ``forward`` of the arm that the controller has.
 
-    Commanded poses have those readings in the nominal arm.
+    Those readings take the true arm to the program's poses, and are the nominal arm's at what is
+    commanded.
     """
     arm = loaded("ur5")
     truth = pincal.disturb(arm, 1e-4, seed=1)
     plan = pincal.sample_configurations(arm, 20, seed=2)
-    assert plan.readings is not None
-    lacking = pincal.corrections(truth, plan, controller=arm)
     plan.to_csv(tmp_path / "program.csv", arm)
     arm.save(tmp_path / "nominal")
     truth.save(tmp_path / "true")
-    table = tmp_path / "corrections.csv"
-    options = ["--poses", tmp_path / "program.csv", "--controller", tmp_path / "nominal"]
-    assert run("export", tmp_path / "true", "-o", table, *options).code in (0, 1)
-    written = [line.split(",") for line in table.read_text().splitlines()]
-    column = written[0].index("command_x [m]")
-    x = [float(row[column] or "nan") for row in written[1:]]
-    assert lacking.commands is not None
-    np.testing.assert_allclose(x, lacking.commands[:, 0], atol=1e-9)
-    assert lacking.commands is not None
-    rows = np.isfinite(lacking.commands).all(axis=1)
-    assert rows.sum() > 15
-    readings = (plan.readings + lacking.readings)[rows]
-    arrived = pincal.forward(truth, readings, plan.poses[rows]).poses
-    wanted = arm.platform.matrices(pincal.forward(arm, plan.readings, plan.poses).poses[rows])
-    np.testing.assert_allclose(arm.platform.matrices(arrived), wanted, atol=1e-9)
-    sent = pincal.forward(arm, readings, plan.poses[rows]).poses
-    np.testing.assert_allclose(
-        arm.platform.matrices(sent), arm.platform.matrices(lacking.commands[rows]), atol=1e-9
+    readings, sent = tmp_path / "readings.csv", tmp_path / "sent.csv"
+    assert run("inverse", tmp_path / "true", tmp_path / "program.csv", "-o", readings).code in (
+        0,
+        1,
     )
+    assert run("forward", tmp_path / "nominal", readings, "-o", sent).code in (0, 1)
+    driven, commands = (
+        np.array([row.split(",")[:6] for row in path.read_text().splitlines()[1:]])
+        for path in (readings, sent)
+    )
+    rows = (driven != "").all(axis=1)
+    assert rows.sum() > 15
+    driven, commands = driven[rows].astype(float), commands[rows].astype(float)
+    assert np.abs(driven - plan.readings[rows]).max() < 0.1  # the same branch
+    matrices = arm.platform.matrices
+    arrived = pincal.forward(truth, driven, plan.poses[rows]).poses
+    np.testing.assert_allclose(matrices(arrived), matrices(plan.poses[rows]), atol=1e-9)
+    drawn = pincal.forward(arm, driven, plan.poses[rows]).poses
+    np.testing.assert_allclose(matrices(commands), matrices(drawn), atol=1e-9)

@@ -561,7 +561,7 @@ def test_calibrate_writes_the_report(work: Path) -> None:
     page = lxml_html.parse(work / "a result/report.html").getroot()
     steps = [block.text_content() for block in page.get_element_by_id("answers").iter("pre")]
     assert steps[:2] == [
-        "pincal deploy 'a result' -o CONTROLLER",
+        "pincal deploy 'a result' -o controller",
         "pincal inverse 'a result' POSES.csv -o READINGS.csv",
     ]
     assert outcome.out.splitlines()[-1] == f"next: {steps[0]}"

@@ -14,7 +14,7 @@ GROUPS = {
     "Measurements": "Measurements Noise Setup Target Distance Contact Tracker Systematic "
     "Camera Lens Markers Instrument",
     "Calibration": "calibrate Options Loss CalibrationResult load_result explain "
-    "Explanation corrections Corrections deploy",
+    "Explanation deploy",
     "Simulation": "disturb simulate accuracy montecarlo",
     "Pictures": "picture view",
     "Errors": "PincalError MechanismError MeasurementError ObservabilityError SymmetryError "

@@ -1,4 +1,4 @@
-"""``pincal import`` and ``export``: files of other programs, and corrections these cannot hold."""
+"""``pincal import`` and ``export``: files of other programs."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ import typer
 
 import pincal
 from pincal import Measurements, Mechanism
-from pincal.cli.app import command, remark, say, stdout, warn, working, wrote
-from pincal.cli.mechanisms import fail_if_lost, first_of, say_reference
+from pincal.cli.app import command, remark, say, stdout, warn, wrote
 from pincal.cli.options import (
     FORCE,
+    Force,
     Mech,
-    TableOptions,
     named_after,
     output_option,
     refuse_options,
@@ -28,22 +27,17 @@ from pincal.files.columns import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, write_mechanism
 from pincal.files.output import writing
-from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.files.urdf import XACRO, read_urdf
 from pincal.files.urdf_writing import leg_urdf
 from pincal.formats import arm, closed, firmware, mjcf, users_urdf
-from pincal.formats.corrections import CORRECTION, correction_columns
 from pincal.formats.delta_printer import delta_printer
-from pincal.kinematics.influences import own_influences
-from pincal.model.checks import counted
 from pincal.option import option
-from pincal.words.numbers import amount, listed, reading_in
 
 PROBING = "probing.csv"
 _LARGE, _ROWS = 20.0, 1000  # size that is doubted [m]; rows over the workspace
 InputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "marlin"]
-#: Formats by the ending of a file, read and written.
+#: Formats by the ending of a file.
 INPUTS: dict[str, InputFormat] = {
     ".cfg": "klipper",
     ".conf": "klipper",
@@ -53,24 +47,19 @@ INPUTS: dict[str, InputFormat] = {
     ".xml": "mjcf",
     ".mjcf": "mjcf",
 }
-OUTPUTS: dict[str, str] = {**INPUTS, ".csv": "table"}
 #: What a file is that must become another one before it is read.
 _TO_CONVERT = {
     ".sdf": "SDF, which is not read; import the URDF that it was made from, or make one (sdf2urdf "
     "of sdformat_tools)",
     ".xacro": f"a file of macros, which xacro expands to URDF: {XACRO}",
 }
-#: Options that are of some formats only.
+#: Options of an import that are of some formats only.
 _ONLY = {
     "loops": ("urdf",),
     "platform": ("urdf", "mjcf"),
     "tip": ("urdf", "mjcf"),
     "base": ("urdf", "mjcf"),
     "probed": ("klipper", "reprap", "marlin"),
-    "original": ("urdf",),
-    "poses": ("table",),
-    "controller": ("table",),
-    "units": ("table",),
 }
 
 
@@ -217,44 +206,22 @@ def _say_what_it_is(mechanism: Mechanism) -> None:
     stdout.print("* driven: its position is read")
 
 
-@dataclass(frozen=True)
-class ExportOptions(TableOptions):
-    """What is written, and where a table corrects."""
-
-    original: Path | None = option(
-        None,
-        "Your URDF: only the origins of its joints change.",
-        metavar="URDF",
-    )
-    poses: Path | None = option(
-        None,
-        "Poses of the table of corrections, with the columns that terms depend on [default: a "
-        "grid over the workspace].",
-        metavar="POSES.csv",
-    )
-    controller: Path | None = option(
-        None,
-        "Mechanism that the controller of the table knows, such as the nominal one [default: MECH "
-        "without its terms].",
-        metavar="MECH",
-    )
-    force: bool = option(False, FORCE)
-
-
 @command
 def export(
     mech: Mech,
     output: Annotated[
         Path,
         output_option(
-            "FILE",
-            "By its ending: .urdf, .xml (MJCF), .cfg (Klipper), .g (M665 and M666), .csv "
-            "(corrections).",
+            "FILE", "By its ending: .urdf, .xml (MJCF), .cfg (Klipper), .g (M665 and M666)."
         ),
     ],
-    options: ExportOptions,
+    original: Annotated[
+        Path | None,
+        typer.Option(metavar="URDF", help="Your URDF: only the origins of its joints change."),
+    ] = None,
+    force: Force = False,
 ) -> None:
-    """Write URDF, MJCF, printer configurations, or corrections.
+    """Write URDF, MJCF or printer configurations.
 
     With --original, FILE is a copy of that URDF in which only the origins of calibrated joints
     differ. Without it, MJCF (.xml) holds the kinematics of any mechanism, URDF (.urdf) those of an
@@ -264,34 +231,25 @@ def export(
     RepRapFirmware (.g). What the format cannot hold is reported. MECH may be a result of 'pincal
     calibrate'; URDFs of its legs are in its folder 'mechanism'.
 
-    These formats cannot hold terms of sensors, lengths and angles. A table of corrections over
-    poses (.csv) can: what to add to readings, or which pose to command instead. With --controller
-    it is for one that knows another mechanism; 'pincal deploy --grid' is for the whole workspace.
+    These formats cannot hold terms of sensors, lengths and angles; readings of your poses by
+    'pincal inverse' can, and the kinematics that 'pincal deploy' writes.
     """
-    form = OUTPUTS.get(output.suffix.lower())
+    form = INPUTS.get(output.suffix.lower())
     if form is None:
         raise MechanismError(
             f"{output.name!r} does not say what to write; give it the ending .urdf, .xml (MJCF), "
-            ".cfg (Klipper), .g (RepRapFirmware) or .csv (table of corrections)"
+            ".cfg (Klipper) or .g (RepRapFirmware)"
         )
-    foreign = [name for name in _ONLY if form not in _ONLY[name]]
-    refuse_options(options, foreign, f"the format {form}")
+    if original is not None and form != "urdf":
+        raise MechanismError(f"leave out --original: not for the format {form}")
     mechanism = pincal.load_mechanism(mech)
-    if form == "table":
-        _export_corrections(mechanism, output, options)
-        return
-    data, remarks = _exported(mechanism, form, options.original)
-    with writing(output, force=options.force) as scratch:
+    data, remarks = _exported(mechanism, form, original)
+    with writing(output, force=force) as scratch:
         scratch.write_bytes(data)
     warn(*remarks)
     wrote(output)
     if mechanism.amplitudes:
-        needed = bool(set(mechanism.influences).difference(mechanism.loaded))
-        remark(
-            "to correct for terms pose by pose (what to add to readings, or which pose to command "
-            f"instead): pincal export {quote(mech)} -o corrections.csv --units mm"
-            f"{' --poses POSES.csv' * needed}"
-        )
+        remark(f"readings with terms: pincal inverse {quote(mech)} POSES.csv -o READINGS.csv")
 
 
 def _exported(
@@ -316,38 +274,3 @@ def _exported(
     text = firmware.write_klipper(printer) if form == "klipper" else firmware.write_reprap(printer)
     say(text.rstrip())
     return text.encode(), printer.remarks
-
-
-def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptions) -> None:
-    """Write corrections over poses."""
-    has_controller = options.controller is not None
-    if not (mechanism.amplitudes or has_controller):
-        raise MechanismError(
-            f"{mechanism.name!r} has no terms: a controller with its geometry, gains and offsets "
-            "needs no correction; one with other geometry does (--controller MECH)"
-        )
-    units = options.written_in(mechanism)
-    plan = None if options.poses is None else read_poses(options.poses, mechanism)
-    influences = {} if plan is None else own_influences(mechanism, plan.influences)
-    if not (has_controller or influences or mechanism.loaded or mechanism.at_reference.amplitudes):
-        raise MechanismError(
-            f"all terms of {mechanism.name!r} follow {first_of(mechanism.influences, ', ')}: at "
-            "their reference there is nothing to correct; give poses with these columns (--poses)"
-        )
-    if plan is None:
-        with working("sampling the workspace"):
-            plan = pincal.sample_configurations(mechanism, _ROWS)
-    table = pincal.corrections(mechanism, plan, options.controller)
-    written = correction_columns(mechanism, table, plan.written or "tilt-torsion")
-    counts = {**units.counts, **{f"{CORRECTION}{k}": v for k, v in units.counts.items()}}
-    write_table(output, written, units=replace(units, counts=counts), force=options.force)
-    say_reference(mechanism, influences)
-    reached = np.abs(table.readings[np.isfinite(table.readings).all(axis=1)])
-    sizes = zip(mechanism.reading_units, reached.max(axis=0, initial=0.0).tolist(), strict=True)
-    largest = dict(sorted(sizes))  # of each unit the largest
-    with reading_in(units.printed):
-        limits = listed(amount(size, unit) for unit, size in largest.items())
-    stdout.print(f"{counted(len(reached), 'pose')}: at most {limits} to add to a reading")
-    wrote(output)
-    places = list(map(plan.place, range(len(plan))))
-    fail_if_lost(options.poses or output, places, table.reasons, "pose")

@@ -179,7 +179,7 @@ def batch(
         say(f"next: {typed()} --results RESULTS")
     else:
         first = running.results / Path(items[0][0]).stem
-        say(f"next: pincal deploy {shlex.quote(str(first))} -o CONTROLLER")
+        say(f"next: pincal deploy {shlex.quote(str(first))} -o controller")
 
 
 @command
@@ -210,7 +210,7 @@ def history(
             stdout.print(line, soft_wrap=isinstance(line, str))
         if output is not None:
             wrote(page.save(output, force=force))
-    step = "pincal deploy RESULT -o CONTROLLER" if output else f"{typed()} -o HISTORY.html"
+    step = "pincal deploy RESULT -o controller" if output else f"{typed()} -o HISTORY.html"
     say(f"next: {step}")
     if any(page.history.changes):
         fail(1, "exit code 1, since the machine changed")

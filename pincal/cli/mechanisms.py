@@ -21,11 +21,12 @@ from pincal.files.measurements import read_poses, read_readings
 from pincal.files.mechanism_folders import bundled
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
-from pincal.kinematics.configurations import beyond_limits, leg_demands
+from pincal.kinematics.configurations import beyond_limits, joints_at, leg_demands
 from pincal.kinematics.influences import own_influences
 from pincal.model.consistency import home_gap
 from pincal.show.deployment import GridOptions
 from pincal.show.tables import nominal_table, symmetry_table
+from pincal.types import Mask
 from pincal.words.numbers import reading_in
 from pincal.words.wording import LISTED
 
@@ -124,7 +125,11 @@ def inverse(
     """Write the sensor readings of poses.
 
     Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
-    code is then 1. Readings of poses outside joint limits are written with a warning.
+    code is then 1. Readings of poses outside joint limits are written with a warning. An arm's are
+    those near readings beside the poses, if there are some.
+
+    For a controller that takes poses and knows another machine, 'pincal forward CONTROLLER
+    READINGS.csv' gives the poses to command instead.
     """
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
@@ -133,7 +138,8 @@ def inverse(
         plan = replace(plan, poses=pincal.load_result(mech).in_base(plan.poses))
     refuse_existing(output, force=force)
     influences = own_influences(mechanism, plan.influences)
-    solution = pincal.inverse(mechanism, plan.poses, influences)
+    near = None if plan.readings is None else joints_at(mechanism.without_terms, plan).joints
+    solution = pincal.inverse(mechanism, plan.poses, influences, near)
     reasons = list(map(solution.reason, range(len(plan))))
     values = np.where(solution.reached.all(axis=1, keepdims=True), solution.readings, np.nan)
     columns = reading_columns(mechanism, values) | dict(influences) | reason_column(reasons)
@@ -166,26 +172,31 @@ def forward(
 
     Poses are those in the assembly mode of home. Readings of more legs than degrees of freedom give
     the least-squares pose and a note of how far they contradict each other. Rows of readings
-    without a pose stay empty, with the reason in the column 'reason'; the exit code is then 1.
+    without a pose, and empty ones, stay empty, with the reason in the column 'reason'; the exit
+    code is then 1.
     """
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
     values, influences = read_readings(readings, mechanism)
     refuse_existing(output, force=force)
-    influences = own_influences(mechanism, influences)
-    solution = pincal.forward(mechanism, values, influences=influences)
+    known: Mask = np.isfinite(values).all(axis=1).astype(bool)
+    influences = {k: v[known] for k, v in own_influences(mechanism, influences).items()}
+    solution = pincal.forward(mechanism, values[known], influences=influences)
     say_reference(mechanism, influences)
-    columns = columns_of(mechanism, Plan(solution.poses)) | reason_column(solution.reasons)
+    poses = np.full((len(values), mechanism.platform.dof), np.nan)
+    poses[known], why = solution.poses, iter(solution.reasons)
+    reasons = [next(why) if has_readings else "no readings" for has_readings in known.tolist()]
+    columns = columns_of(mechanism, Plan(poses)) | reason_column(reasons)
     write_table(output, columns, units=units, force=force)
     if mechanism.redundant and solution.converged.any():
         row, leg = np.unravel_index(np.nanargmax(solution.gap), solution.gap.shape)
         remark(
             f"readings fit together within {solution.gap[row, leg]:.2g} m "
-            f"(row {row + 1}, {mechanism.leg_names[leg]})"
+            f"(row {np.flatnonzero(known)[row] + 1}, {mechanism.leg_names[leg]})"
         )
     wrote(output)
     places = [f"row {row + 1}" for row in range(len(values))]
-    fail_if_lost(readings, places, solution.reasons, "reading")
+    fail_if_lost(readings, places, reasons, "reading")
 
 
 def say_reference(mechanism: Mechanism, influences: Mapping[str, object]) -> None:

@@ -81,10 +81,16 @@ def read_poses(
 
 
 def read_readings(source: Any, mechanism: GivenMechanism) -> tuple[Array, dict[str, Array]]:
-    """Return the readings of a table, shape (N, n_readings), and columns that terms depend on."""
+    """Return the readings of a table, shape (N, n_readings), and columns that terms depend on.
+
+    Rows without readings are NaN, as 'pincal inverse' writes those of poses out of reach.
+    """
     mechanism = as_mechanism(mechanism)
     table = table_of(source, mechanism, known_columns(mechanism, {}))
-    return table.array(reading_units(mechanism)), _influences(table, mechanism)
+    readings = table.array(reading_units(mechanism), blank=True)
+    if (missing := np.isnan(readings)).any(axis=1).sum() > missing.all(axis=1).sum():
+        table.array(reading_units(mechanism))  # names an empty cell
+    return readings, _influences(table, mechanism)
 
 
 def read_measurements(

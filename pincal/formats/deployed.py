@@ -291,7 +291,7 @@ def _term(machine: Mechanism, leg: Leg, placed: PlacedTerm, known: int) -> tuple
     if not term.has_form:
         raise MechanismError(
             f"term {term.parameter!r} of {leg.name} is a function of your own, which no file can "
-            "hold; write a table of corrections instead (pincal export … -o corrections.csv)"
+            "hold; write readings of your poses instead (pincal.inverse)"
         )
     place = -1
     if placed.column >= known:
@@ -336,8 +336,7 @@ def _load(machine: Mechanism) -> Table:
     if len(drawing.legs) > 1 or not leg.is_arm or set(owners).intersection(at_tool):
         raise MechanismError(
             f"terms of {machine.name!r} follow loads of a tool, or of a machine with loops, which "
-            "no file computes; write a table of corrections instead (pincal export … -o "
-            "corrections.csv)"
+            "no file computes; write readings of your poses instead (pincal inverse)"
         )
     named = dict(zip(leg.reading_names, leg.active, strict=True))
     named |= {name: n + place for place, name in enumerate(leg.parameter_ids)}

@@ -173,10 +173,10 @@ def next_steps(
 
 
 def _uses(result: CalibrationResult, folder: str) -> list[str]:
-    deploy, view = f"pincal deploy {folder} -o CONTROLLER", f"pincal view {folder}"
+    deploy, view = f"pincal deploy {folder} -o controller", f"pincal view {folder}"
     with suppress(MechanismError):
         delta_printer(result.identified)
-        return [f"pincal export {folder} -o printer.cfg", deploy, view]
+        return [f"pincal export {folder} -o printer.cfg", view]
     if result.nominal.by_readings and len(result.legs) == 1:
         return [f"pincal export {folder} --original ROBOT.urdf -o CALIBRATED.urdf", deploy, view]
     return [deploy, f"pincal inverse {folder} POSES.csv -o READINGS.csv", view]

@@ -170,7 +170,7 @@ def _with_grid(
     if machine.by_readings:
         raise MechanismError(
             f"poses of {machine.name!r} do not determine its readings, so they have no grid of "
-            "corrections; correct the poses of a program: pincal.corrections(…, controller=…)"
+            "corrections; poses of a program by 'pincal inverse', then 'pincal forward CONTROLLER'"
         )
     if controller.platform.coordinates != platform.coordinates:
         raise MechanismError(
@@ -184,7 +184,7 @@ def _with_grid(
         raise MechanismError(f"{len(poses)} of {len(drawn)} poses are within --box; widen it")
     tried = min(_UNSEEN, len(poses) // 4)
     poses, unseen = poses[tried:count], poses[:tried]
-    grid = correction_grid(machine, controller, Plan(poses), options.grid)
+    grid = correction_grid(machine, controller, poses, options.grid)
 
     def missed_by(commands: Array) -> str:
         errors = platform_errors(controller, machine, commands)
