@@ -31,10 +31,10 @@ data = pincal.simulate(printer, truth, pincal.Plan(disc(41)), noise, seed=1).mea
 heights = data.poses * [np.nan, np.nan, 1.0]  # a probe tells the height alone
 data = replace(data, poses=heights)
 
-weak = pincal.forecast(printer, disc(41), noise, measured=["z"]).weak[0]
+forecast = pincal.forecast(printer, disc(41), noise, measured=["z"])
+weak = forecast.weak[0]
 print(f"{weak.first}, {weak.second}: weakly determined, correlation {weak.correlation:.3f}")
-alone, known = (1e3 * pair[0] for pair in (weak.std, weak.known))
-print(f"the radius within {alone:.2f} mm, {known:.2f} mm if rods were known")
+print(f"by heights alone the radius within {1e3 * forecast.std[0]:.2f} mm")
 
 # So rods were measured with calipers, to 0.1 mm.
 result = pincal.calibrate(printer, data, noise=noise, tied=["radius"], priors={"arm": 1e-4})

@@ -15,18 +15,18 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 628,
-    "calibration": 6_758,
+    "calibration": 6_701,
     "cli": 2_929,
     "design": 2_317,
-    "estimation": 4_891,
+    "estimation": 4_853,
     "files": 3_410,  # lines, as in all rooms
     "formats": 3_549,
     "instruments": 1_560,
     "kinematics": 3_323,
     "model": 3_638,
-    "show": 4_595,
+    "show": 4_588,
     "symmetry": 1_382,
-    "words": 1_002,
+    "words": 988,
     "workspace": 1_508,
 }
 """Most lines of each room; a room that is not listed may have none."""
@@ -36,7 +36,7 @@ MOST = {
     "largest folder": 15,
     "vague names": 0.01,
     "class names twice": 0,
-    "dataclasses": 134,
+    "dataclasses": 133,
     "complex functions": 0,
     "long signatures": 0,
     "imports inside functions": 0,

@@ -14,7 +14,6 @@ from measured import check_plausible, machine, put, seen_from_elsewhere
 import pincal
 from pincal import Options
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.findings import misaligned
 from pincal.calibration.hypotheses.plausibility import explain_misfit
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.show.misses import errors_at
@@ -255,24 +254,3 @@ def test_a_leg_fits_whatever_the_order_of_its_parameters(kind: str) -> None:
         misfit(one, wrong)[0].values["left"] for one in (mechanism, replace(mechanism, legs=legs))
     )
     assert first == pytest.approx(second, rel=1e-6)
-
-
-@pytest.mark.parametrize("kind", ["3RRR", "6UPS"])
-@pytest.mark.parametrize("what", ["base", "target", "nothing"])
-def test_parameters_that_moved_as_one_body(kind: str, what: str) -> None:
-    """A base that is 10 mm from where it was drawn, or a target: which; of neither, nothing."""
-    from test_misaligned import calibrated, motion
-
-    moved = {} if what == "nothing" else {what: motion(kind)}
-    result = calibrated(kind, 0, **moved)
-    changes = [p.identified - p.nominal for leg in result.legs for p in leg.parameters]
-    mechanism = pincal.load_mechanism(kind)
-    found = misaligned(mechanism, np.array(changes), result.poses, np.empty((40, 0)))
-    if what == "nothing":
-        assert found == ()
-        return
-    (one,) = found
-    assert one.values["frame"] == {"base": "base", "target": "platform"}[what]
-    assert one.values["shift"] == pytest.approx(0.01, rel=0.35)
-    (said_before,) = [text for text in result.warnings if "frame, by" in text]
-    assert sentences(found)[0].split(" frame, by")[1] == said_before.split(" frame, by")[1]

@@ -23,7 +23,6 @@ from pincal.calibration.calibration import Calibration, with_followed_influences
 from pincal.calibration.findings import (
     MANY_ROWS,
     findings_of,
-    misaligned,
     points_left_out,
     values_of,
 )
@@ -261,17 +260,13 @@ def explained_error(calibration: Calibration, error: Exception) -> Exception:
 
 
 def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding, ...]:
-    """Return what would explain residuals or changes of parameters that are too large."""
+    """Return what would explain residuals that are too large, and boards that are not as said."""
     if not result.explained:
         return explain_misfit(result.calibration, frame)
     if result.options.setup.pixels:
         mirrored = boards_behind(result.calibration, result.poses, frame)
         return (*pitch_faults(result.calibration), *mirrored)
-    if not result.converged or not result.options.setup.plain or result.options.tied:
-        return ()
-    identified = np.concatenate([leg.identified for leg in result.legs])
-    changes = identified - result.nominal.parameters.values - result.calibration.shift
-    return misaligned(result.nominal, changes, result.poses, result.measurements.readings)
+    return ()
 
 
 @dataclass(frozen=True)

@@ -5,23 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc
 
 from pincal.calibration.fits import Fits
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.estimation.fit import Fit, Outlier, curvature
 from pincal.estimation.observability.courses import Score, scores
-from pincal.estimation.observability.gauge import frame_motions
-from pincal.estimation.observability.indices import NEGLIGIBLE, plausible_changes
+from pincal.estimation.observability.indices import plausible_changes
 from pincal.estimation.observability.residuals import together
 from pincal.estimation.system import FALSE_ALARM
 from pincal.finding import Finding
-from pincal.kinematics.configurations import legs_at
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import Measurements, Plan
-from pincal.model.mechanism import Mechanism
+from pincal.model.measurements import Measurements
 from pincal.model.relations import ORIGIN
-from pincal.types import Array, Index
+from pincal.types import Index
 from pincal.words.findings import finding
 
 if TYPE_CHECKING:
@@ -34,9 +31,6 @@ _FEW_RESIDUALS = 1.5  # residuals a parameter, below which more poses are advise
 _EXPLAINS = 0.25  # of what χ² exceeds the noise given by, from which a course is its cause
 _REPEATS = 4  # times that a pose was measured, from which one asks whether it moved
 _SPREAD = 0.5  # share of the run over which these must lie
-_CHANCE = 1e-5  # probability of so much motion as one body by chance, above which it is none
-_MATTERS = 0.25  # of the platform's error: a motion of less is not worth a warning
-_ROWS_MOVED = 200  # enough, where the motion of a body is looked for
 
 
 def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
@@ -231,49 +225,3 @@ def _far(result: CalibrationResult) -> list[Finding]:
 def values_of(outlier: Outlier) -> dict[str, Any]:
     """Return what findings say of a row that does not fit."""
     return {name: getattr(outlier, name) for name in ("sigma", "quantity", "off")}
-
-
-def misaligned(
-    mechanism: Mechanism, changes: Array, poses: Array, readings: Array
-) -> tuple[Finding, ...]:
-    """Return a finding if parameters moved as one body, of fits in known frames, without ties.
-
-    The share of the squares of changes (identified less nominal, (n_params,)), over what is
-    plausible, in the directions that move a frame has the F distribution if all directions are
-    alike. Poses are (N, dof), readings (N, n_readings).
-    """
-    rows = np.linspace(0, len(poses) - 1, min(_ROWS_MOVED, len(poses))).astype(int)
-    plan = Plan(poses[rows], readings=readings[rows] if mechanism.by_readings else None)
-    if not all(np.isfinite(part).all() for part in (plan.poses, plan.readings) if part is not None):
-        return ()
-    legs = legs_at(mechanism, plan)
-    if not (legs.gain.size and np.isfinite(legs.gain).all() and changes.all()):
-        return ()  # out of reach, or parameters are held
-    platform, scale = mechanism.platform, plausible_changes(mechanism)
-    size, own, space = mechanism.size, changes / scale, platform.space
-    lengths = np.where(np.array(platform.units) == "m", 1.0, size)[:, None]
-    A = (legs.gain * lengths).reshape(-1, len(own)) * scale
-    motions = frame_motions(platform, platform.matrices(legs.poses))[:, :, :-1] * lengths
-    of_base, of_platform = np.split(
-        motions.reshape(len(A), -1), [motions.shape[2] - platform.dof], axis=1
-    )
-    for frame, b in (("base", of_base), ("platform", of_platform)):
-        D = np.linalg.lstsq(A, b, rcond=1e-9)[0]  # parameters that move so
-        k, free = D.shape[1], len(own) - D.shape[1]
-        misfit, sizes = np.linalg.norm(A @ D - b, axis=0), np.linalg.norm(b, axis=0)
-        if free <= 0 or (misfit > NEGLIGIBLE * sizes).any():
-            continue
-        Q, R = np.linalg.qr(D)
-        along, moved = Q.T @ own, A @ own
-        inside = along @ along
-        p_value = float(fdtrc(k, free, inside / k / ((own @ own - inside) / free)))
-        unexplained = moved - b @ np.linalg.lstsq(b, moved, rcond=None)[0]
-        share = float(1.0 - unexplained @ unexplained / (moved @ moved))
-        if p_value > _CHANCE or share < _MATTERS:
-            continue
-        amounts = np.linalg.lstsq(R, along, rcond=None)[0]
-        shift, turn = float(np.linalg.norm(amounts[:space])), float(np.linalg.norm(amounts[space:]))
-        values: dict[str, Any] = {"share": share, "p_value": p_value, "shift": shift}
-        values |= {"frame": frame, "remedy": frame if "rad" in platform.units else "base"}
-        return (finding("frame-misaligned", **values, turn=turn if amounts[space:].size else None),)
-    return ()

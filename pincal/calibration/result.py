@@ -202,7 +202,7 @@ class CalibrationResult:
     def weak(self) -> tuple[WeakPair, ...]:
         """Pairs of parameters that are weakly determined, the weakest first."""
         ids = [p.id for leg in self.legs for p in leg.parameters]
-        return weak_pairs(ids, self.parameter_covariance, self.gauge_directions)
+        return weak_pairs(ids, self.parameter_covariance)
 
     @property
     def parameter_covariance(self) -> Array:

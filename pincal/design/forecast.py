@@ -196,7 +196,7 @@ class Forecast:
         """Pairs of parameters that are weakly determined, the weakest first."""
         determined = np.isfinite(self.std)
         clear, ids = np.outer(determined, determined), [p.id for p in self.mechanism.parameters]
-        return weak_pairs(ids, np.where(clear, self.covariance, 0.0), self.gauge)
+        return weak_pairs(ids, np.where(clear, self.covariance, 0.0))
 
     def platform_error(self, poses: Plan | Array) -> PlatformError:
         """Return the error to expect of the calibrated platform over poses, shape (N, dof).

@@ -321,25 +321,18 @@ def check_lines(result: CalibrationResult) -> list[str]:
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     """Return which pairs of parameters are weakly determined; legs alike in one line."""
-    groups: dict[tuple[str, ...], list[WeakPair]] = {}
+    groups: dict[tuple[str, str], list[WeakPair]] = {}
     for pair in pairs:
-        parameters = [mechanism.parameters[id_] for id_ in (pair.first, pair.second)]
-        same_leg = parameters[0].owner == parameters[1].owner
-        groups.setdefault(tuple(p.name if same_leg else p.id for p in parameters), []).append(pair)
+        first, second = (mechanism.parameters[id_] for id_ in (pair.first, pair.second))
+        same_leg = first.owner == second.owner
+        names = (first.name, second.name) if same_leg else (first.id, second.id)
+        groups.setdefault(names, []).append(pair)
     lines = []
     for names, (worst, *others) in list(groups.items())[:_MOST_PAIRS]:
-        parameters = [mechanism.parameters[id_] for id_ in (worst.first, worst.second)]
-        owner = f" of {len(others) + 1} legs" if others else ""
-        shown = names if others else [p.id for p in parameters]
-        known = [
-            f"{amount(exact, p.unit)} instead of {number(std, p.unit)} for {name}"
-            for p, name, exact, std in zip(parameters, shown, worst.known, worst.std, strict=True)
-            if number(exact, p.unit) != number(std, p.unit)
-        ]
+        shown = f"{listed(names)} of {len(others) + 1} legs" if others else listed(worst[:2])
         lines.append(
-            f"{listed(shown)}{owner} are weakly determined together (correlation "
-            f"{worst.correlation:+.3f}): with the other known, the standard error would be "
-            f"{' and '.join(known)}"
+            f"{shown} are weakly determined together (correlation {worst.correlation:+.3f}): "
+            "measure one of them otherwise, and the other is known better"
         )
     omitted = len(groups) - len(lines)
     return [*lines, f"and {counted(omitted, 'more such pair')}"] if omitted else lines

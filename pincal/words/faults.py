@@ -97,14 +97,6 @@ FAULTS: dict[str, Wording] = {
         f"{{' (an inch for 25 mm?)' if (scale - 1.016)|abs < 0.002}}{_BY_PHOTOS}",
         "Measure its bar and write that into its scale: all lengths follow it",
     ),
-    "frame-misaligned": Wording(
-        "{(100 * share)|f(0)} % of the nominal model's squared error is one motion of the "
-        "{frame}'s frame, by {size_in_words(shift, turn)}, which independent errors of parameters "
-        "hardly cause ({p_value|chance})",
-        "{% if remedy == 'base' %}Is the tracker's frame the base's (--unknown-frame)?{% else %}Is "
-        "the target the platform's origin (--unknown-target)?{% endif %} Otherwise the "
-        "frame's misalignment is taken for errors of the machine",
-    ),
 }
 _READINGS = "the readings{' of ' ~ legs|join(', ') if legs}"
 _SIGN = "Change {}, or the sensor's 'direction' in mechanism.yaml"

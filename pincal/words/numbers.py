@@ -108,12 +108,6 @@ def _bound(value: float, unit: str, units: Mapping[str, str]) -> str:
     return f"< {least:.{digits}f}" if 0.0 < shown_in(value, unit, units) < 0.5 * least else ""
 
 
-def size(position: float, orientation: float | None = None) -> str:
-    """Return an error of the platform in mm and, if it turns, mrad."""
-    turn = "" if orientation is None else f" and {amount(orientation, 'rad')}"
-    return amount(position, "m") + turn
-
-
 def rounded(value: float, digits: int = 2) -> str:
     """Return a number rounded to some digits, without an exponent where it can be."""
     near = float(f"{value:.{digits}g}")

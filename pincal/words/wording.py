@@ -18,7 +18,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Te
 
 from pincal.finding import Finding, Severity
 from pincal.model.checks import counted
-from pincal.words.numbers import SMALL, amount, chance, listed, number, percent, rounded, size
+from pincal.words.numbers import SMALL, amount, chance, listed, number, percent, rounded
 
 #: Groups of parameters in a sentence; result.json has all.
 LISTED = 4
@@ -163,7 +163,7 @@ def sentence_templates() -> Environment:
         variable_start_string="{", variable_end_string="}", undefined=StrictUndefined
     )
     environment.filters |= _FILTERS
-    environment.globals |= _NAMES | {"noise_in_words": noise_in_words, "size_in_words": size}
+    environment.globals |= _NAMES | {"noise_in_words": noise_in_words}
     return environment
 
 

@@ -9,8 +9,7 @@ poses makes when it is drawn once more.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from math import sqrt
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,6 @@ import numpy as np
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import (
     NEGLIGIBLE,
-    RANK_TOLERANCE,
     identifiability,
     jacobian_near,
     lost_directions,
@@ -175,62 +173,26 @@ def hold_unobservable(
     return HeldUnknowns(less, observable, nominal, directions, groups, names, least, weakest)
 
 
-@dataclass(frozen=True)
-class WeakPair:
+class WeakPair(NamedTuple):
     """Two parameters whose errors mostly compensate each other."""
 
     first: str
     """Its id, such as ``"leg_1.l"``."""
     second: str
     correlation: float
-    std: tuple[float, float]
-    """Standard errors of the two."""
-    known: tuple[float, float]
-    """Standard error of each if the other one were known exactly: if both are of one leg, the
-    other one of every leg."""
-
-    @property
-    def gain(self) -> float:
-        """By how many times knowing one betters the other, at most."""
-        ratios = zip(self.std, self.known, strict=True)
-        return max(std / known if known > 0.0 else np.inf for std, known in ratios)
 
 
-def weak_pairs(
-    ids: Sequence[str], covariance: Array, gauge: Array | None = None
-) -> tuple[WeakPair, ...]:
-    """Return the pairs that are weakly determined, the weakest first.
+def weak_pairs(ids: Sequence[str], covariance: Array) -> tuple[WeakPair, ...]:
+    """Return the pairs of parameters that are weakly determined together, the weakest first.
 
-    Args:
-        ids: Id of each parameter, its owner's name first: ``leg_1.l``.
-        covariance: Shape (n, n). Parameters whose variance is zero, or not finite, and pairs that
-            are tied, are left out.
-        gauge: Directions that only move frames, columns of shape (n, n_gauge).
+    Of a covariance, shape (n, n). Those whose variance is zero, or not finite, and pairs that are
+    tied, are left out.
     """
     std = np.sqrt(np.diagonal(covariance))
-    finite = np.isfinite(std) & (std > 0.0)
-    covariance = np.where(np.outer(finite, finite), covariance, 0.0)
-    scale = np.where(finite, std, 1.0)
-    rho = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
-    directions = np.zeros((len(std), 0)) if gauge is None else gauge
-    directions = directions[:, directions.any(axis=0)]  # the others move no parameter
-    names = [parameter.partition(".") for parameter in ids]
-
-    def known(place: int, second: int) -> float:
-        """Return the standard error of a parameter if the second is known, frames still unknown."""
-        same_leg = names[place][0] == names[second][0]
-        twins = [i for i, parts in enumerate(names) if same_leg and parts[2] == names[second][2]]
-        fixed = [i for i in twins or [second] if finite[i]]
-        axes, size, _ = np.linalg.svd(directions[fixed] / np.linalg.norm(directions, axis=0))
-        unmoved = axes[:, int((size > RANK_TOLERANCE).sum()) :].T  # combinations no frame can move
-        across = unmoved @ covariance[fixed]
-        inner = np.linalg.pinv(across[:, fixed] @ unmoved.T, hermitian=True)
-        gained = across[:, place] @ inner @ across[:, place]
-        return float(np.sqrt(max(covariance[place, place] - gained, 0.0)))
-
-    pairs = []
-    for i, j in np.argwhere(np.triu(np.abs(rho) > sqrt(1.0 - _WEAKLY**-2), 1)).tolist():
-        stds, knowns = (float(std[i]), float(std[j])), (known(i, j), known(j, i))
-        pairs.append(WeakPair(ids[i], ids[j], float(rho[i, j]), stds, knowns))
-    weak = [pair for pair in pairs if _WEAKLY <= pair.gain < 1.0 / NEGLIGIBLE]  # else tied
-    return tuple(sorted(weak, key=lambda pair: -pair.gain))
+    known = np.isfinite(std) & (std > 0.0)
+    scale = np.where(known, std, np.inf)
+    rho = np.where(np.outer(known, known), covariance, 0.0) / np.outer(scale, scale)
+    left = 1.0 - np.triu(rho, 1) ** 2  # share of a variance that stays if the other one is known
+    pairs = np.argwhere((left < _WEAKLY**-2) & (left > NEGLIGIBLE**2)).tolist()
+    pairs.sort(key=lambda pair: -abs(rho[*pair]))
+    return tuple(WeakPair(ids[i], ids[j], float(rho[i, j])) for i, j in pairs)
