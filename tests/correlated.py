@@ -51,16 +51,6 @@ def correlated(
     )
 
 
-def pairs(names: tuple[str, ...], covariance: Array) -> dict[str, Array]:
-    """Return the columns of covariances (N, dof, dof)."""
-    return {
-        f"{a},{b}": covariance[:, i, j]
-        for i, a in enumerate(names)
-        for j, b in enumerate(names)
-        if i < j
-    }
-
-
 def slopes(one: cramer_rao.Machine) -> tuple[Array, Array]:
     """Return readings by parameters (N, m, n) and by the platform's twist (N, m, dof)."""
     n, dof, h = len(one.parameters), one.dof, 1e-6

@@ -15,15 +15,15 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 628,
-    "calibration": 6_701,
+    "calibration": 6_704,
     "cli": 2_929,
     "design": 2_317,
-    "estimation": 4_853,
-    "files": 3_410,  # lines, as in all rooms
+    "estimation": 4_804,
+    "files": 3_366,  # lines, as in all rooms
     "formats": 3_549,
     "instruments": 1_560,
     "kinematics": 3_323,
-    "model": 3_638,
+    "model": 3_633,
     "show": 4_588,
     "symmetry": 1_382,
     "words": 988,

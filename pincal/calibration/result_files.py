@@ -350,6 +350,9 @@ def load_result(folder: str | Path) -> CalibrationResult:
     converter.register_structure_hook(Mechanism, lambda *_: nominal)
     try:
         with warnings.catch_warnings(action="error"):
+            measured = contents["data"]["calibration"]["measurements"]
+            if not measured.get("covariances", True):  # none were given to an older version
+                del measured["covariances"]
             result = converter.structure(contents["data"], CalibrationResult)
             parameters = [(p.id, p.unit) for leg in result.legs for p in leg.parameters]
             if parameters != [(p.id, p.unit) for p in nominal.parameters]:

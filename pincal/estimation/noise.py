@@ -1,7 +1,7 @@
 """The noise of the measurements: given, of each row, from repeated rows, or assumed.
 
 A tracker measures a range and two angles: errors of x, y and z are correlated, the more so the
-farther it is. Columns ``cov_x_y`` say any covariance.
+farther it is.
 """
 
 from __future__ import annotations
@@ -88,7 +88,6 @@ def noise_model(
         MeasurementError: given twice, or rows that give it for readings only.
     """
     _check_tracker(mechanism, data, setup)
-    _check_covariances(mechanism, data, setup)
     full, rows = bool(np.isfinite(data.poses).all()), _has_sigmas(mechanism, data, noise, setup)
     source: Source = "given"
     freedoms: Freedoms = (np.inf,) * 4
@@ -166,27 +165,6 @@ def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> No
         raise MeasurementError(
             "positions have standard deviations of their own and those of a tracker's range and "
             "angles as well; leave out one of them"
-        )
-
-
-def _check_covariances(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
-    """Raise if covariances are not of two quantities measured of the platform, with variances."""
-    names = {*mechanism.platform.freedoms, *setup.columns(mechanism)}
-    checked: set[frozenset[str]] = set()
-    for pair, values in data.covariances.items():
-        quantities = frozenset(pair.split(","))
-        if not quantities <= names or len(quantities) < 2 or quantities in checked:
-            raise MeasurementError(
-                f"covariance {pair!r}: expected two of {', '.join(sorted(names))} with a comma "
-                "between them, each pair once"
-            )
-        checked.add(quantities)
-        if np.isinf(values).any():
-            raise MeasurementError(f"covariance {pair!r} is infinite in a row")
-    if checked and data.sigma_poses is None and not data.sigma_extra:
-        raise MeasurementError(
-            "the measurements have covariances, but no standard deviations beside them; add "
-            "columns such as 'sigma_x'"
         )
 
 
@@ -290,27 +268,25 @@ def row_noise(
     general = [noise.of_unit(unit) for unit in units]
     sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
     sigma = np.where(np.isfinite(sigma), sigma, general)
-    if setup.tracker is None and not data.covariances:
+    if setup.tracker is None:
         return RowNoise(sigma)
     place = {name: column for column, name in enumerate(names)}
     covariance = sigma[:, :, None] ** 2 * np.eye(len(names))
-    if setup.tracker is not None:
-        for target in setup.targets:
-            axes = "xyz"[: platform.space]
-            parts = [axis if target == ORIGIN else f"{target}_{axis}" for axis in axes]
-            if set(parts) <= set(place):
-                columns = np.array([place[name] for name in parts])
-                block = _of_tracker(setup.tracker, target_positions(platform, data, target), parts)
-                rows = np.flatnonzero(np.isfinite(block).all(axis=(1, 2)))
-                covariance[np.ix_(rows, columns, columns)] = block[rows]
-    for pair, values in data.covariances.items():
-        first, second = pair.split(",")
-        if {first, second} <= set(place):
-            three = [values, sigmas.get(first, none), sigmas.get(second, none)]
-            known = np.isfinite(three).all(axis=0)
-            covariance[known, place[first], place[second]] = values[known]
-            covariance[known, place[second], place[first]] = values[known]
-    return _rooted(covariance, data)
+    for target in setup.targets:
+        axes = "xyz"[: platform.space]
+        parts = [axis if target == ORIGIN else f"{target}_{axis}" for axis in axes]
+        if set(parts) <= set(place):
+            columns = np.array([place[name] for name in parts])
+            block = _of_tracker(setup.tracker, target_positions(platform, data, target), parts)
+            rows = np.flatnonzero(np.isfinite(block).all(axis=(1, 2)))
+            covariance[np.ix_(rows, columns, columns)] = block[rows]
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    size = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariance / size[:, :, None] / size[:, None]
+    correlation += np.where(sigma > 0.0, 0.0, 1.0)[:, :, None] * np.eye(len(names))  # exact
+    values, eigenvectors = np.linalg.eigh(correlation)
+    root = (eigenvectors * np.sqrt(values.clip(0.0))[:, None]) @ eigenvectors.transpose(0, 2, 1)
+    return RowNoise(sigma, root)
 
 
 def _sigmas_by_name(
@@ -370,24 +346,3 @@ def _of_tracker(tracker: Tracker, points: Array, names: Sequence[str]) -> Array:
     raised = tracker.elevation * np.array((-z * np.cos(azimuth), -z * np.sin(azimuth), level))
     root = np.stack((along.T, turned.T, raised.T), axis=2)
     return np.asarray(root @ root.transpose(0, 2, 1))[:, :n, :n]
-
-
-def _rooted(covariance: Array, data: Measurements) -> RowNoise:
-    """Return standard deviations and roots of correlations, of covariances (N, r, r)."""
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    size = np.where(sigma > 0.0, sigma, 1.0)
-    correlation = covariance / size[:, :, None] / size[:, None]
-    exact = np.where(sigma > 0.0, 0.0, 1.0)
-    values, axes = np.linalg.eigh(correlation + exact[:, :, None] * np.eye(sigma.shape[1]))
-    low = values.min(axis=1, initial=0.0)
-    correlated = np.abs(covariance).sum(axis=2) > np.diagonal(covariance, axis1=1, axis2=2)
-    low = np.where((correlated & (sigma == 0.0)).any(axis=1), -1.0, low)  # what is exact has none
-    if (low < -(ROUNDING**0.5)).any():
-        row = int(np.argmin(low))
-        raise MeasurementError(
-            f"data {data.place(row)}: its covariances are larger than its standard deviations "
-            "allow (a correlation above 1); expected covariances of which the squares are below "
-            "the product of both variances"
-        )
-    root = (axes * np.sqrt(values.clip(0.0))[:, None]) @ axes.transpose(0, 2, 1)
-    return RowNoise(sigma, root)

@@ -165,11 +165,7 @@ class Observation:
         return changed
 
     def row_noise(self, data: Measurements, noise: Noise) -> RowNoise:
-        """Return the noise of all that is measured: each row's own, else that given.
-
-        Raises:
-            MeasurementError: covariances that no errors have.
-        """
+        """Return the noise of all that is measured: each row's own, else that given."""
         return row_noise(self.names, self.units, data, noise, self.setup, self.platform)
 
     @property

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
-from itertools import permutations
-from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +25,6 @@ from pincal.words.numbers import COUNTS, SI, UNITS, Units
 from pincal.words.wording import NAMED
 
 Columns = dict[str, Array | tuple[str, ...]]
-_SQUARE = re.compile(r"(.+?)\s*(?:\^|\*\*)?\s*[2²]$")
 _NEAR = 0.66  # likeness of a column's name and one that means something, as of tx and x
 _log = logging.getLogger(__name__)
 
@@ -70,8 +66,11 @@ def _meant_perhaps(name: str, missing: Sequence[str]) -> str:
 
 def unknown_columns(table: TextTable, known: Collection[str]) -> list[str]:
     """Return the columns of a table without a meaning, but for those that sheets plan by."""
-    sheet = ("cov_", "planned_")
-    return [n for n in table.units if n not in known and n != "row" and not n.startswith(sheet)]
+    return [
+        name
+        for name in table.units
+        if name not in known and name != "row" and not name.startswith("planned_")
+    ]
 
 
 def known_columns(mechanism: Mechanism, further: Mapping[str, str]) -> dict[str, str]:
@@ -127,42 +126,6 @@ def _unit_behind(column: str, name: str, dimension: str) -> str | None:
     if (unit == COUNTS or UNITS.get(unit, ("",))[0] == dimension) and unit != ending:
         return unit
     return "" if not ending or ending.strip().startswith("(") else None
-
-
-def covariances_of(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]:
-    """Return the covariances that a table has of quantities, by pair such as ``"x,y"``, in SI."""
-    pairs = {f"cov_{a}_{b}": (a, b) for a, b in permutations(units, 2)}
-    covariances: dict[str, Array] = {}
-    for header in (name for name in table.units if name.startswith("cov_")):
-        if header not in pairs:
-            raise MeasurementError(
-                f"{table.path}: column {header!r} is no covariance of two quantities measured of "
-                f"the platform ({', '.join(units)}); rename it, or leave it out"
-            )
-        first, second = sorted(pairs[header], key=list(units).index)
-        if f"{first},{second}" in covariances:
-            raise MeasurementError(
-                f"{table.path}: the covariance of {first} and {second} is said twice; leave one "
-                "of the columns"
-            )
-        unit, needed = table.units[header], (units[first], units[second])
-        product = _SQUARE.sub(r"\1 \1", (unit or "").strip())
-        parts = [UNITS.get(part, (part, 1.0)) for part in re.split(r"\s*[·*⋅ ]\s*", product)]
-        if sorted(dimension for dimension, _ in parts) != sorted(needed):
-            has = "no unit" if unit is None else f"unit [{unit}]"
-            raise MeasurementError(
-                f"{table.path}: column {header!r} has {has}; expected "
-                f"'{header} [{product_unit(*needed)}]', the product of both, or [mm2], [mm mrad], "
-                "[mrad2]"
-            )
-        factor = prod(factor for _, factor in parts)
-        covariances[f"{first},{second}"] = table.plain(header, blank=True) * factor
-    return covariances
-
-
-def product_unit(first: str, second: str) -> str:
-    """Return how the product of two SI units is written."""
-    return f"{first}2" if first == second else f"{first} {second}"
 
 
 def write_plan(
@@ -252,11 +215,6 @@ def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | N
     for prefix, quantities in (("", data.extra), ("sigma_", data.sigma_extra)):
         for name, values in quantities.items():
             columns[f"{prefix}{name} [{units.get(name, 'm')}]"] = values
-    units |= freedoms
-    for pair, values in data.covariances.items():
-        first, second = pair.split(",")
-        unit = product_unit(units.get(first, "m"), units.get(second, "m"))
-        columns[f"cov_{first}_{second} [{unit}]"] = values
     return columns if data.runs is None else columns | {"run": data.runs}
 
 

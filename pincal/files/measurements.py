@@ -15,7 +15,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError, located
 from pincal.files.columns import (
-    covariances_of,
     known_columns,
     reading_units,
     table_of,
@@ -141,7 +140,6 @@ def read_measurements(
         sigma_readings=_sigmas(table, reading_units(mechanism)),
         extra=extra | pixels,
         sigma_extra=sigma_extra | sigma_pixels,
-        covariances=covariances_of(table, freedoms | further),
         contacts=_contacts(table, named),
         influences=_influences(table, mechanism) | _further_influences(table, unknown, influences),
         runs=_names(table, "run"),

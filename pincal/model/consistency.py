@@ -219,10 +219,10 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
                 f"a term depends on {name!r}, which is another column of tables; name the "
                 "influence otherwise"
             )
-        if not re.fullmatch(r"(?!sigma_|cov_)[^][\s]([^][]*[^][\s])?", name):
+        if not re.fullmatch(r"(?!sigma_)[^][\s]([^][]*[^][\s])?", name):
             yield (
                 f"a term depends on {name!r}, which heads no column of a table; expected a name "
-                "such as temperature: no brackets, no blanks around it, not sigma_… or cov_…"
+                "such as temperature: no brackets, no blanks around it, not sigma_…"
             )
     if len(set(readings)) != len(readings):
         yield (

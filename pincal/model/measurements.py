@@ -260,9 +260,6 @@ class Measurements(Plan):
     sigma_extra: Mapping[str, Array] = field(default_factory=dict)
     """Standard deviations of further quantities by column, each of shape (N,); of what a tracker
     measures as ``range``, ``azimuth`` and ``elevation``."""
-    covariances: Mapping[str, Array] = field(default_factory=dict)
-    """Covariances within a row by a pair of quantities, ``"x,y"``, in the product of their SI
-    units, each of shape (N,); NaN where there is none."""
     runs: tuple[str, ...] | None = None
     """Run of the experiment to which each row belongs, if there were several."""
 
@@ -273,10 +270,8 @@ class Measurements(Plan):
         self._check(
             {"sigma_poses": (dof,), "sigma_readings": (self.readings.shape[1],)},
             ("runs",),
-            ("extra", "sigma_extra", "covariances"),
+            ("extra", "sigma_extra"),
         )
-        if lone := [pair for pair in self.covariances if pair.count(",") != 1]:
-            raise MeasurementError(f"covariance of {lone[0]!r}; expected a pair such as 'x,y'")
 
     @staticmethod
     @attached

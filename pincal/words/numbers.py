@@ -234,7 +234,7 @@ class Units:
             else:
                 shown = COUNTS
             values = np.asarray(column, dtype=np.float64) * scale
-            if self.last and not name.startswith(("sigma_", "cov_")):  # these may be as small
+            if self.last and not name.startswith("sigma_"):  # these may be as small
                 values = values.round(max(0, round(-np.log10(self.last * scale)))) + 0.0  # no -0.0
             written[f"{name} [{shown}]"] = values
         return written
