@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +14,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.estimation.observability.indices import r_diagonal
 from pincal.kinematics import closing
-from pincal.model.checks import sine_and_cosine
-from pincal.model.orientation import WAYS, columns_of, rotation_of, tilted
+from pincal.model.orientation import WAYS, columns_of, rotation_of
 
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
 #: Poses of Eqs. 35, 37 and 40: x, y, z [m], azimuth, tilt, torsion [rad].
@@ -90,24 +88,12 @@ def test_figures_of_the_paper(hexapod: pincal.Mechanism) -> None:
     np.testing.assert_allclose(pincal.inverse(hexapod, POSES).readings, LENGTHS, atol=1e-4)
 
 
-def test_sines_of_tangents_are_sines() -> None:
-    """Within two units of the last place of 1, at whole, half and quarter turns and far from 0."""
-    turns = np.arange(-8, 9) * np.pi / 4
-    angles = np.concatenate((turns, np.random.default_rng(0).uniform(-50.0, 50.0, 10_000), [1e6]))
-    sine, cosine = sine_and_cosine(angles)
-    exact = np.array([(math.sin(one), math.cos(one)) for one in angles]).T
-    np.testing.assert_allclose((sine, cosine), exact, rtol=0.0, atol=2 * np.finfo(float).eps)
-    np.testing.assert_allclose(sine**2 + cosine**2, 1.0, rtol=0.0, atol=2 * np.finfo(float).eps)
-
-
 def test_tilted_matrices_are_turns_about_axes() -> None:
     """Rz(azimuth) Ry(tilt) Rz(torsion − azimuth), by SciPy's Euler angles, as rotations are."""
     azimuth, tilt, torsion = angles = np.random.default_rng(1).uniform(-4.0, 4.0, (3, 500))
     by_euler = Rotation.from_euler("ZYZ", np.stack((azimuth, tilt, torsion - azimuth), axis=1))
-    found = tilted(angles.T).transpose(2, 0, 1)
+    found = rotation_of("tilt-torsion", angles.T).as_matrix()
     np.testing.assert_allclose(found, by_euler.as_matrix(), rtol=0.0, atol=3e-15)
-    own = rotation_of("tilt-torsion", angles.T).as_matrix()
-    np.testing.assert_allclose(found, own, rtol=0.0, atol=3e-15)
 
 
 @pytest.mark.parametrize("kind", ["planar", "translational", "spatial"])

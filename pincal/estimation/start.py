@@ -21,7 +21,7 @@ from pincal.estimation.noise import target_positions
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.relations import at_touch, touches
 from pincal.estimation.unknowns import External, State
-from pincal.kinematics.batches import lengths
+from pincal.kinematics.batches import lengths, turn_of_points
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import inverse
@@ -343,12 +343,8 @@ def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform)
                 f"{'at one place' if least == 2 else 'on a line'} or too few; measure positions "
                 "that span the workspace (a tip in sockets is a contact of the setup)"
             )
-    middles = [np.average(points, axis=0, weights=weights) for points in (nominal, measured)]
+    before, after = (np.average(p, axis=0, weights=weights) for p in (nominal, measured))
     frame = np.eye(4)
-    a, b = nominal - middles[0], measured - middles[1]
-    U, _, Vt = np.linalg.svd((a * weights[:, None])[:, :least].T @ b[:, :least])
-    sign = np.ones(least)
-    sign[-1] = np.linalg.det(U @ Vt)
-    frame[:least, :least] = (Vt.T * sign) @ U.T
-    frame[:3, 3] = middles[1] - frame[:3, :3] @ middles[0]
+    frame[:3, :3] = turn_of_points(nominal, measured, least, weights=weights)
+    frame[:3, 3] = after - frame[:3, :3] @ before
     return frame

@@ -179,12 +179,16 @@ def turn_between(first: Array, second: Array) -> Array:
     return vectors
 
 
-def turn_of_points(first: Array, second: Array, space: int, sign: float = 1.0) -> Array:
+def turn_of_points(
+    first: Array, second: Array, space: int, sign: float = 1.0, weights: Array | None = None
+) -> Array:
     """Return the rotation (a reflection of sign −1) that best turns points to others, (3, 3).
 
-    Of shape (n, 3) about their centres (Kabsch 1976); in the plane across z if space is 2.
+    Of shape (n, 3) about their centres (Kabsch 1976), with weights of shape (n,), or alike; in the
+    plane across z if space is 2.
     """
-    M = (second - second.mean(axis=0)).T @ (first - first.mean(axis=0))
+    a, b = (points - np.average(points, axis=0, weights=weights) for points in (first, second))
+    M = b.T @ (a if weights is None else a * weights[:, None])
     U, _, Vt = np.linalg.svd(M[:space, :space])
     flip, turn = np.ones(space), np.eye(3)
     flip[-1] = sign * np.sign(np.linalg.det(U @ Vt))

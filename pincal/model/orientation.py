@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.model.checks import sine_and_cosine, wrapped
+from pincal.model.checks import wrapped
 from pincal.types import Array
 
 #: For each way: columns and their unit.
@@ -51,25 +51,13 @@ def rotation_of(way: str, values: Array) -> Rotation:
     return Rotation.from_quat(values, scalar_first=True)
 
 
-def tilted(values: Array) -> Array:
-    """Return the matrices of azimuth, tilt and torsion, [rad], shape (N, 3) to (3, 3, N)."""
-    quaternions = _quaternions(values)
-    (x, y, z, w), (a, b, c, _) = quaternions, 2.0 * quaternions
-    R = np.empty((3, 3, len(x)))
-    R[0, 0], R[1, 1], R[2, 2] = 1.0 - y * b - z * c, 1.0 - x * a - z * c, 1.0 - x * a - y * b
-    for i, j, symmetric, skew in ((0, 1, x * b, w * c), (2, 0, x * c, w * b), (1, 2, y * c, w * a)):
-        np.subtract(symmetric, skew, out=R[i, j])
-        np.add(symmetric, skew, out=R[j, i])
-    return R
-
-
 def _quaternions(values: Array) -> Array:
     """Return the unit quaternions of azimuth, tilt and torsion, (N, 3) to (4, N), scalar last."""
     azimuth, tilt, torsion = values.T
     half = torsion / 2
-    across, along = sine_and_cosine(tilt / 2)
-    (x, y), (z, w) = sine_and_cosine(half - azimuth), sine_and_cosine(half)
-    return np.array((across * x, across * y, along * z, along * w))
+    across, along = np.sin(tilt / 2), np.cos(tilt / 2)
+    x, y = across * np.sin(half - azimuth), across * np.cos(half - azimuth)
+    return np.array((x, y, along * np.sin(half), along * np.cos(half)))
 
 
 def columns_of(way: str, rotation: Rotation) -> Array:

@@ -17,11 +17,10 @@ from pincal.model.checks import (
     names_of,
     numbers_of,
     one_line,
-    sine_and_cosine,
     triple,
     wrapped,
 )
-from pincal.model.orientation import WAYS, columns_of, tilted
+from pincal.model.orientation import WAYS, columns_of, rotation_of
 from pincal.types import Array
 
 if TYPE_CHECKING:
@@ -177,10 +176,11 @@ class Platform:
         T[: self.lengths, 3] = coordinates[:, : self.lengths].T
         if self.turns == 1:
             j, k = self._across
-            T[k, j], T[j, j] = sine_and_cosine(coordinates[:, -1])
+            T[k, j], T[j, j] = np.sin(coordinates[:, -1]), np.cos(coordinates[:, -1])
             T[k, k], T[j, k] = T[j, j], -T[k, j]
         elif self.turns == 3:
-            T[:3, :3] = tilted(coordinates[:, self.lengths :])
+            turns = rotation_of("tilt-torsion", coordinates[:, self.lengths :])
+            T[:3, :3] = turns.as_matrix().transpose(1, 2, 0)
         return T.transpose(2, 0, 1)
 
     def from_matrices(self, matrices: Array) -> Array:
