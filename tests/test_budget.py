@@ -24,7 +24,7 @@ LINES = {
     "instruments": 1_560,
     "kinematics": 3_327,
     "model": 3_609,
-    "show": 4_588,
+    "show": 4_581,
     "symmetry": 1_382,
     "words": 988,
     "workspace": 1_508,
@@ -32,7 +32,7 @@ LINES = {
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
     "files": 180,
-    "page lines": 929,
+    "page lines": 900,
     "largest folder": 15,
     "vague names": 0.01,
     "class names twice": 0,

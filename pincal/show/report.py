@@ -277,10 +277,10 @@ def mechanism_html(mechanism: Mechanism) -> str:
     coordinates = ", ".join(mechanism.platform.coordinates)
     title = f"{mechanism.name}: {len(mechanism.legs)} legs, {coordinates}"
     parts = [*filter(None, [mechanism.description]), drawn, tables.nominal_table(mechanism)]
-    return rendered("notebook.html", title=title, warnings=[], parts=parts)
+    return rendered("notebook.html", title=title, parts=parts)
 
 
 def result_html(result: CalibrationResult) -> str:
     """Return a calibration: the verdict, errors, what next, and its tables."""
     parts = [*result.report().lines, *(result.tables() if result.converged else ())]
-    return rendered("notebook.html", title="", warnings=[], parts=parts)
+    return rendered("notebook.html", title="", parts=parts)

@@ -2,7 +2,7 @@
 function Dots({ data, pane, node, element, places, about, show, pixels, move }) {
   const tip = element("div", "", pane);
   Object.assign(tip, { className: "tip", hidden: true });
-  let pressed = null; // the event, while a button or finger is down
+  let pressed; // the event by which a button or finger went down
 
   function under({ clientX, clientY }) { // the pose whose dot is nearest to the pointer
     const { left, top } = pane.getBoundingClientRect();
@@ -29,13 +29,11 @@ function Dots({ data, pane, node, element, places, about, show, pixels, move }) 
     pressed = event;
     tip.hidden = true;
   }, { capture: true }); // before what turns or drags
-  pane.addEventListener("pointermove", (event) => pressed || tell(event, under(event)));
+  pane.addEventListener("pointermove", (event) => event.buttons || tell(event, under(event)));
   pane.addEventListener("pointerleave", () => (tip.hidden = true));
-  pane.addEventListener("pointercancel", () => (pressed = null));
   pane.addEventListener("pointerup", (event) => {
-    const still = pressed && Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) < 4;
+    const still = Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) < 4;
     const index = still && event.button === 0 ? under(event) : -1;
-    pressed = null;
     if (index < 0) return;
     show(index);
     tell(event, index);

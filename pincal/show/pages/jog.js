@@ -96,12 +96,10 @@ function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
       return axis < 0 ? own : Math.min(Math.max(own + [x, -z, y][axis], -most), most);
     }));
   });
-  for (const end of ["pointerup", "pointercancel"]) {
-    canvas.addEventListener(end, () => {
-      held = null;
-      viewer.controls.enabled = true;
-    });
-  }
+  canvas.addEventListener("lostpointercapture", () => {
+    held = null;
+    viewer.controls.enabled = true;
+  });
 
   return { at, go, idle: () => asking };
 }

@@ -7,12 +7,10 @@
   const viewer = new MeshCat.Viewer(pane);
   const resize = viewer.set_3d_pane_size.bind(viewer); // takes the window's height for the pane's
   viewer.set_3d_pane_size = () => resize(pane.clientWidth, pane.clientHeight);
-  const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const doubles = (text) => new Float64Array(bytes(text).buffer);
+  const doubles = (text) => new Float64Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
   const node = (path) => viewer.scene_tree.find(path.split("/"));
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y); // the world's y points up
   const poses = data.set.length;
-  const misses = data.misses && data.misses.length === poses ? data.misses : null; // if the poses are the result's
   const size = 2 * Math.hypot(...data.half) || 1;
   const PLATFORM = "meshcat/mechanism/platform/body";
   let pose = -1;
@@ -120,7 +118,6 @@
     data.bodies.forEach(place);
     const problems = data.bodies.map(({ name }, i) => drawn.problems[i] && (i ? `${name}: ` : "") + drawn.problems[i]).filter(Boolean);
     find("problem").textContent = problems.length ? `Not drawn: ${problems.join("; ")}` : "";
-    find("problem").hidden = !problems.length;
     drawn.values.forEach((value, i) => {
       cells[i].textContent = value === null ? "–" : `${value.toFixed(data.rows[i].digits)} ${data.rows[i].unit}`;
     });
@@ -138,22 +135,21 @@
     find("slider").value = pose + 1;
     find("count").textContent = `${pose + 1} of ${poses}`;
     const set = data.sets[data.set[pose]];
-    find("set").hidden = !set.name && !misses;
+    find("set").hidden = !set.name && !data.misses;
     coloured(find("set").querySelector("i"), set.colour);
     find("set").querySelector("span").textContent = about(pose);
   }
 
   function about(index) { // which pose it is, as a sentence
     const { name } = data.sets[data.set[index]];
-    const words = [`${misses ? "row" : "pose"} ${index + 1}`];
+    const words = [`${data.misses ? "row" : "pose"} ${index + 1}`];
     if (name) words.push(name === "all" ? "for every leg" : `set ${name}`);
-    if (misses) words.push(misses[index] === null ? "not predicted" : `missed by ${misses[index].toPrecision(2)} mm`);
+    if (data.misses) words.push(data.misses[index] === null ? "not predicted" : `missed by ${data.misses[index].toPrecision(2)} mm`);
     return words.join(", ");
   }
 
   function moved(answer) { // by hand, off the pose
-    find("problem").textContent = "Out of reach.";
-    find("problem").hidden = !answer.problem;
+    find("problem").textContent = answer.problem && "Out of reach.";
     if (answer.problem) return;
     draw(answer);
     find("count").textContent = "moved by hand";
@@ -191,7 +187,6 @@
 
   for (const name of ["name", "description", "grid"]) find(name).textContent = data[name];
   data.notices.forEach((text) => element("li", text, find("notices")));
-  find("notices").hidden = !data.notices.length;
   data.sets.forEach((set, index) => {
     const count = data.set.filter((own) => own === index).length;
     const name = set.name === "all" ? "for every leg, " : set.name && `${set.name}, `;

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import trimesh
 import yourdfpy
+from yourdfpy.urdf import filename_handler_magic
 
 from pincal.errors import FileError
 from pincal.files.text import read_xml
@@ -60,7 +61,11 @@ def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
 def _mesh(path: Path, visual: Any) -> Shape:
     """Return a visual as triangles, in its link's frame."""
     source = visual.geometry.mesh
-    file = _mesh_path(path, source.filename)
+    file = filename_handler_magic(source.filename, str(path.resolve()))  # packages above it, too
+    if not Path(file).is_file():
+        raise FileError(
+            f"{path}: its mesh {source.filename} is not found beside it, nor in a folder above it"
+        )
     try:
         mesh: Any = trimesh.load(file, force="mesh", process=False)
     except Exception as error:  # whatever readers of meshes raise
@@ -71,19 +76,6 @@ def _mesh(path: Path, visual: Any) -> Shape:
     coarsen(mesh)
     T = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
     return Shape("mesh", (), T, METAL, np.asarray(mesh.vertices), np.asarray(mesh.faces))
-
-
-def _mesh_path(path: Path, name: str) -> Path:
-    """Return the file of a mesh: beside the URDF, or in a package in a folder above it."""
-    scheme, _, bare = name.removeprefix("file://").rpartition("://")
-    candidates = [path.parent / bare]
-    if scheme:
-        inside = [Path(bare), Path(*Path(bare).parts[1:])]
-        candidates = [folder / part for folder in path.resolve().parents for part in inside]
-    for candidate in candidates:
-        if candidate.is_file():
-            return candidate
-    raise FileError(f"{path}: its mesh {name} is not found beside it, nor in a folder above it")
 
 
 def coarsen(mesh: Any) -> None:

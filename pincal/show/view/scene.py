@@ -298,7 +298,8 @@ def calibrated(shown: Scene, result: CalibrationResult) -> Scene:
     for number, (name, place, _, _) in enumerate(touched_points(result), 1):
         layers.append(Layer(f"touched/{number}", name, place[None], IDENTIFIED, pixels=_TOUCHED))
     misses = np.where(known, np.linalg.norm(shifts, axis=1), np.nan)
-    return replace(shown, layers=(*shown.layers, *layers), misses=misses)
+    of_rows = len(misses) == len(shown.plan)  # its poses are those of the result's rows
+    return replace(shown, layers=(*shown.layers, *layers), misses=misses if of_rows else None)
 
 
 def _arrow_layers(begin: Array, shifts: Array, outlying: Mask, size: float) -> list[Layer]:
