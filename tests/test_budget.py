@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 628,
-    "calibration": 6_704,
+    "calibration": 6_703,
     "cli": 2_929,
     "design": 2_317,
-    "estimation": 4_800,
+    "estimation": 4_799,
     "files": 3_366,  # lines, as in all rooms
     "formats": 3_549,
     "instruments": 1_560,

@@ -126,26 +126,25 @@ def prepared(
 
 @one_thread()
 def run(
-    asked: Calibration, folds: int | None = None, by: By = "region"
+    asked: Calibration, folds: int | None = None, by: By = "region", near: Fits | None = None
 ) -> tuple[CalibrationResult, Fits, list[str]]:
     """Return the result of a calibration, its fits, and why no rows were held out if some were to.
 
     Folds and ``by`` are those of ``CalibrationResult.validated``, 0 or None for none; errors those
-    of ``calibrate``.
+    of ``calibrate``. Near are fits whose residuals say that the model lacks something.
     """
-    calibration = started(asked)
+    calibration = replace(near.calibration, lacks=True) if near else started(asked)
     try:
-        fits = fitted(calibration)
+        fits = fitted(calibration, near)
         sure_fits = with_unsure_tolerances(fits)
     except (PincalError, np.linalg.LinAlgError) as error:
         raise explained_error(calibration, error) from error
     result = assemble(sure_fits)
     findings = (*explain_result(result, fits.external), *findings_of(result, sure_fits))
     findings = (*findings, *points_left_out(asked.measurements, calibration.measurements))
-    lacks = "model-lacks" in {remark.code for remark in findings} and not asked.lacks
-    estimated = lacks and not fits.calibration.noise.known
-    if estimated and tie_of(fits.fits[0], fits.noise, lacks=True):
-        return run(replace(asked, lacks=True), folds, by)
+    lacks = near is None and "model-lacks" in {remark.code for remark in findings}
+    if lacks and tie_of(fits.fits[0], fits.noise, lacks=True):
+        return run(asked, folds, by, fits)
     terms = sorted(calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
     if AUTO in asked.options.terms and terms:
         findings = (*findings, finding("terms-chosen", parameters=terms))

@@ -185,10 +185,11 @@ def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
     What the model lacks looks like noise of the readings, and poses near singularities would
     then judge the model. It belongs to what was measured of the platform: only repeated rows may
     show sensors that are so noisy; none a quarter as noisy where residuals say that the model
-    lacks something. Cameras show what pixels move. None if poses are as measured, or nothing was.
+    lacks something. Cameras show what pixels move. None if noise is known, poses are as measured,
+    or nothing was.
     """
     problem, linear, n_legs = fit.problem, fit.last, fit.problem.leg_block.n_rows
-    if not problem.latent:
+    if fit.system.known or not problem.latent:
         return None
     units, active = np.array(problem.observation.units), problem.active[:, n_legs:]
     shown = {unit: (units == unit) & active[fit.good].any(axis=0) for unit in ("m", "rad", "px")}

@@ -12,15 +12,7 @@ from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.noise import RowNoise
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.solver import (
-    ROWS_FOLLOW,
-    SLOW,
-    SolverResult,
-    adjusts,
-    last_steps,
-    search,
-    solve_poses,
-)
+from pincal.estimation.solver import SolverResult, optimum, search, solve_poses
 from pincal.estimation.system import FALSE_ALARM, NormalEquations, System, outlying
 from pincal.estimation.unknowns import Unknowns
 from pincal.types import Array, Index, Mask
@@ -237,29 +229,22 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
     problem, unknowns = system.problem, system.unknowns
     first, evaluations = solve_poses(begin)
     check_rank(problem, unknowns, first)
-    highest = system.cost(first)
-    start = first
-    if near:  # where the last steps ended, which the search does not know of
-        highest *= 1.0 + ROWS_FOLLOW
-    else:
-        start, easy_evaluations = _near_start(system, begin, first)
-        evaluations += easy_evaluations
-    enough = SLOW if adjusts(problem) else 0.0  # the last steps go on from there
-    solution = last_steps(system, search(system, start, highest=highest, enough=enough))
+    start, easier = (first, 0) if near else _near_start(system, begin, first)
+    solution = optimum(system, start, system.cost(first), evaluations + easier, near=near)
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, solution.last))
     check_rank(problem, unknowns, solution.last, ended=True)
-    optimum = Fit(**vars(solution), system=system, first=first)
+    end = Fit(**vars(solution), system=system, first=first)
     if not system.known:
-        n, dof = unknowns.n_free, optimum.degrees_of_freedom
+        n, dof = unknowns.n_free, end.degrees_of_freedom
         if dof < 1:
             raise ObservabilityError(
                 f"{dof + n} equations for {n} parameters, and the scale of the noise is not known; "
                 "measure more, or give the noise"
             )
-        judged = (optimum.last, optimum.noise_scale) if solution.converged else (first, 1.0)
+        judged = (end.last, end.noise_scale) if solution.converged else (first, 1.0)
         check_information(problem, unknowns, judged[:1], judged[1])
-    return replace(optimum, evaluations=solution.evaluations + evaluations)
+    return end
 
 
 _UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.problem import Linear, Problem
+from pincal.estimation.problem import Linear
 from pincal.estimation.system import NormalEquations, System
 from pincal.types import Array, Mask
 
@@ -159,25 +159,38 @@ def search(
     )
 
 
-def last_steps(system: System, optimum: SolverResult) -> SolverResult:
-    """Return the optimum with all conditions at adjusted readings, found from that without.
+def optimum(
+    system: System, start: Linear, highest: float, evaluations: int, *, near: bool
+) -> SolverResult:
+    """Return the optimum with all conditions at adjusted readings, or without where none exist.
 
-    As it is where readings are exact, or no such conditions exist.
+    Args:
+        system: What is minimised.
+        start: The conditions where the search begins, poses solved.
+        highest: As in ``search``, cost above which no step is taken.
+        evaluations: How many it took to come here.
+        near: Whether the start is near such an optimum, of other noise or rows: the search for that
+            without adjustment would lead away.
     """
-    if not (adjusts(system.problem) and optimum.converged):
-        return optimum
+    adjusts = system.problem.latent and np.nanmax(system.problem.leg_block.sigma, initial=0.0) > 0.0
+    with_adjustment = replace(system, adjusted=True)
+    end = _if_any(with_adjustment, start) if near and adjusts else None
+    if end is None or not end.converged:
+        highest *= 1.0 + ROWS_FOLLOW * near
+        first = end = search(system, start, highest=highest, enough=SLOW * float(adjusts))
+        if adjusts and first.converged:
+            end = _if_any(replace(with_adjustment, max_evaluations=None), first.last) or first
+            evaluations += first.evaluations - 1 if end is not first else 0
+    return replace(end, evaluations=end.evaluations + evaluations)
+
+
+def _if_any(system: System, start: Linear) -> SolverResult | None:
+    """Return where a search ends; None if it comes to conditions that do not exist."""
     try:
         with np.errstate(all="ignore"):
-            end = search(replace(system, adjusted=True, max_evaluations=None), optimum.last)
+            return search(system, start)
     except (MeasurementError, np.linalg.LinAlgError):
-        return optimum
-    return replace(end, evaluations=optimum.evaluations + end.evaluations - 1)
-
-
-def adjusts(problem: Problem) -> bool:
-    """Return whether a problem's fit ends at adjusted readings."""
-    noisy = np.nanmax(problem.leg_block.sigma, initial=0.0) > 0.0
-    return problem.latent and bool(noisy)
+        return None
 
 
 def adjusted(linear: Linear) -> Linear:
