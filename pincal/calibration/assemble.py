@@ -25,11 +25,13 @@ from pincal.calibration.result_parts import (
 )
 from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.fit import Fit, Outlier
+from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.observability.indices import identifiability
 from pincal.estimation.observability.residuals import leg_residuals, redundancy
 from pincal.estimation.problem import Problem
 from pincal.estimation.relations import touches
 from pincal.estimation.unknowns import State
+from pincal.instruments.camera import Camera
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.model.parameter import Parameter, means
@@ -84,11 +86,27 @@ def assemble(fits: Fits) -> CalibrationResult:
         misses=_misses(fits),
         gauge=gauge.found if gauge else (),
         gauge_directions=gauge.of_legs if gauge else None,
-        frames_moved=gauge.frames if gauge else None,
+        frames_moved=_frames_moved(calibration, gauge),
         undetermined_directions=held[:n] if held.shape[1] else None,
         outside=fits.external if len(outside) else None,
         estimated_poses=poses if fits.latent else None,
     )
+
+
+def _frames_moved(calibration: Calibration, gauge: Gauge | None) -> Array | None:
+    """Return motions of frames that nothing measured fixes, shape (k, n_moved); None without any.
+
+    Where cameras alone measure, and neither they nor their markers are at known places: those of
+    both frames, and of the scale if no length is known, whatever priors and tolerances say of it.
+    """
+    observation = calibration.observation
+    cameras = [d for d in observation.setup.instruments if isinstance(d, Camera)]
+    pixels = np.array([unit == "px" for unit in observation.units])
+    alone = cameras and not observation.measured[:, ~pixels].any()
+    if gauge is None or not (alone and all(camera.unplaced for camera in cameras)):
+        return gauge and gauge.frames
+    every = np.eye(len(gauge.frames))  # the scale is the last
+    return every[:, :-1] if any(c.markers.lengths_known for c in cameras) else every
 
 
 def chi2_freedoms(fits: Sequence[Fit]) -> float:

@@ -148,7 +148,8 @@ def uncovered(result: CalibrationResult) -> tuple[str, ...]:
 def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
     lost, seen = result.undetermined_directions, seen_by(result)
     data, distances = result.measurements, result.options.setup.distances
-    measures = callable(seen) or (np.isfinite(data.poses).all() and not distances)
+    fully = np.isfinite(data.poses).all() and not distances
+    measures = callable(seen) or result.options.setup.pixels or fully
     measured = measured_plan(result) if measures and np.isfinite(data.readings).all() else None
     error = platform_error(
         result.identified,

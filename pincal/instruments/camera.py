@@ -90,6 +90,12 @@ class Markers:
         names = [*(name for name, _ in _PLACE), "scale", *of_points]
         return dict(zip(names, map(float, numbers), strict=True))
 
+    @property
+    def lengths_known(self) -> bool:
+        """Whether known points are farther apart than each of them is uncertain."""
+        points = [point for point in self.points.values() if point is not None]
+        return len(points) > 1 and np.ptp(points, axis=0).max() > self.tolerance
+
     def placed_at(self, places: Array) -> dict[str, float]:
         """Return where frame and points are, by id, if the points are at places, (M, 3), [m].
 
@@ -188,6 +194,11 @@ class Camera:
         owners = {self.lens.name: self.lens.sigmas, self.markers.name: self.markers.priors}
         every = ((f"{o}.{n}", s) for o, sigmas in owners.items() for n, s in sigmas.items())
         return {id_: sigma for id_, sigma in every if np.isfinite(sigma)}
+
+    @property
+    def unplaced(self) -> bool:
+        """Whether neither its place nor that of the markers is known."""
+        return not self.known and ("x" in self.markers.priors or not self.markers.lengths_known)
 
     @property
     def marks(self) -> dict[str, tuple[str, str]]:

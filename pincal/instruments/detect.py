@@ -271,22 +271,14 @@ def _predicted(places: Array, on_board: Array, in_image: Array, count: int) -> t
 
     By a homography of each, from the nearest of points whose pixels are known.
     """
-    offsets = on_board - places[:, None]
-    nearest = np.argsort((offsets**2).sum(axis=2), axis=1, kind="stable")[:, :count]
-    local = np.take_along_axis(offsets, nearest[:, :, None], axis=1)
-    size = np.abs(local).max()
-    x, y = np.moveaxis(local / size, 2, 0)
-    pixels = in_image[nearest]
-    centre = pixels.mean(axis=1, keepdims=True)
-    u, v = np.moveaxis(pixels - centre, 2, 0)
-    unit, zero = np.ones_like(x), np.zeros_like(x)
-    upper = np.stack((x, y, unit, zero, zero, zero, -u * x, -u * y), axis=2)
-    lower = np.stack((zero, zero, zero, x, y, unit, -v * x, -v * y), axis=2)
-    A, b = np.concatenate((upper, lower), axis=1), np.concatenate((u, v), axis=1)
-    h = (np.linalg.pinv(A, rcond=1e-9) @ b[:, :, None])[:, :, 0]
-    start = h[:, [2, 5]]
-    slopes = np.stack((h[:, :2], h[:, 3:5]), axis=1) - start[:, :, None] * h[:, None, 6:8]
-    return start + centre[:, 0], slopes / size
+    starts, slopes = np.empty((len(places), 2)), np.empty((len(places), 2, 2))
+    for i, place in enumerate(places):
+        nearest = np.argsort(((on_board - place) ** 2).sum(axis=1), kind="stable")[:count]
+        local = on_board[nearest] - place
+        size = np.abs(local).max()
+        H, _ = cv2.findHomography(local / size, in_image[nearest])
+        starts[i], slopes[i] = H[:2, 2], (H[:2, :2] - np.outer(H[:2, 2], H[2, :2])) / size
+    return starts, slopes
 
 
 class _Corners:

@@ -191,7 +191,8 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> list[T
     """
     missed, region, rows = held_out_errors(result), "", dict[str, dict[str, str]]()
     if result.explained and errors.determined and errors.moved:
-        scale = " and scale" * any(free.code == "gauge-scale" for free in result.gauge)
+        moved = result.frames_moved
+        scale = " and scale" * (moved is not None and bool(moved[-1].any()))
         region = f" {errors.where}" + f", best-fit frames{scale}" * result.moves_frames
         sizes = zip(errors.mean_before(), errors.mean_after(), errors.inside.limit, strict=True)
         for unit, (before, after, limit) in zip(("m", "rad"), sizes, strict=True):
