@@ -90,7 +90,7 @@ def row(name: str, source: str, mechanism: pincal.Mechanism, sets: int) -> str:
     """Return a line of the table."""
     plan = configurations(mechanism, 24)
     gap, (error, seconds) = pinocchio_gap(mechanism, plan), missed(mechanism)
-    spread = f"{standardised(mechanism, plan, sets).mean():.2f}" if sets else ""
+    spread = f"{np.concatenate(standardised(mechanism, plan, sets)).mean():.2f}" if sets else ""
     counts = f"{len(mechanism.legs)} | {len(mechanism.reading_names)} | {len(mechanism.parameters)}"
     return f"| {name} | {source} | {counts} | {gap:.0e} | {error:.0e} | {spread} | {seconds:.1f} |"
 

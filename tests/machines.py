@@ -456,16 +456,19 @@ def pinocchio_gap(mechanism: Mechanism, plan: pincal.Plan) -> float:
     return gap
 
 
-def standardised(mechanism: Mechanism, plan: pincal.Plan, sets: int) -> Array:
-    """Return squares of errors in all directions over their variances, shape (sets, n_params)."""
-    noise, squares = pincal.Noise(position=1e-5, orientation=1e-5, reading=1e-6), []
+def standardised(mechanism: Mechanism, plan: pincal.Plan, sets: int) -> list[Array]:
+    """Return squares of errors over their variances, of each set in all directions that vary.
+
+    The noise is low, so that curvature counts for little; what rows do not determine is held.
+    """
+    noise, squares = pincal.Noise(position=1e-6, orientation=1e-6, reading=1e-7), []
     for seed in range(sets):
         truth = pincal.disturb(mechanism, 1e-4, seed=seed)
         data = pincal.simulate(mechanism, truth, plan, noise, seed=seed).measurements
         result = pincal.calibrate(mechanism, data, noise=noise, folds=0)
         true = {parameter.id: parameter.nominal for parameter in truth.parameters}
-        free = np.diag(result.parameter_covariance) > 0.0
         errors = np.array([p.identified - true[p.id] for p in result.parameters])
-        values, axes = np.linalg.eigh(result.parameter_covariance[np.ix_(free, free)])
-        squares.append((axes.T @ errors[free]) ** 2 / values)
-    return np.array(squares)
+        values, axes = np.linalg.eigh(result.parameter_covariance)
+        varies = values > 1e-12 * values[-1]
+        squares.append((axes.T @ errors)[varies] ** 2 / values[varies])
+    return squares

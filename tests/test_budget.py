@@ -20,7 +20,7 @@ LINES = {
     "design": 2_317,
     "estimation": 4_799,
     "files": 3_366,  # lines, as in all rooms
-    "formats": 3_549,
+    "formats": 3_547,
     "instruments": 1_563,
     "kinematics": 3_327,
     "model": 3_609,

@@ -9,7 +9,7 @@ import neighbours
 import numpy as np
 import pytest
 from command_line import done
-from machines import agile_eye, four_bar, four_bar_pose, six_rods, tricept
+from machines import agile_eye, four_bar, four_bar_pose, hybrid, six_rods, tricept
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -439,3 +439,55 @@ def test_trees_go_to_mujoco_and_come_back(tmp_path: Path) -> None:
     readings = home + np.random.default_rng(1).uniform(-0.2, 0.2, (10, 3))
     poses = [pincal.forward(name, readings).poses for name in (mechanism, tmp_path / "again")]
     np.testing.assert_allclose(*map(mechanism.platform.matrices, poses), atol=1e-9)
+
+
+@pytest.mark.parametrize("ends", ["[rod_end, hook]", "[hook, rod_end]"])
+def test_a_loop_may_close_on_a_link_that_carries_it(ends: str, tmp_path: Path) -> None:
+    """A cylinder from shin to thigh bends the knee: the foot is where the cosine law puts it."""
+    knee, hook, pin, bend = 0.4 + 0.0j, 0.1 + 0.05j, 0.15 + 0.04j, 0.6
+    place = lambda w: neighbours.vector(w.real, w.imag, 0.0)  # noqa: E731
+    rod = hook - knee - pin * np.exp(1j * bend)  # as drawn, in the thigh's frame
+    along = rod / abs(rod) * np.exp(-1j * bend)
+    slide = neighbours.joint("ram", "cylinder", "rod", kind="prismatic", axis=place(along))
+    joints = [
+        neighbours.joint("hip", "base", "thigh", "0 0.9 0"),
+        neighbours.joint("knee", "thigh", "shin", place(knee), rpy=f"0 0 {bend}"),
+        neighbours.joint("pin", "shin", "cylinder", place(pin)),
+        slide.replace("<limit", '<limit lower="-0.2" upper="0.2"'),
+        neighbours.joint("rod_end", "rod", "rod_tip", place(abs(rod) * along), "fixed"),
+        neighbours.joint("hook", "thigh", "thigh_hook", place(hook), "fixed"),
+        neighbours.joint("ankle", "shin", "foot", "0.45 0 0"),
+    ]
+    yaml = f"closed_loop: [{ends}]\ntype: [3d]\nname_mot: [hip, ram, ankle]\nplatform: foot\n"
+    file = neighbours.written(tmp_path, neighbours.urdf("leg", joints, "base"), yaml)
+    done("import", file, "-o", tmp_path / "leg")
+    mechanism = pincal.load_mechanism(tmp_path / "leg")
+    bends, hips, ankles = np.random.default_rng(0).uniform(-0.5, 0.5, (3, 40))
+    reach = np.abs(hook - knee - pin * np.exp(1j * (bend + bends)))
+    columns = {"hip": hips, "ram": reach - abs(rod), "ankle": ankles}
+    order = [sensor.joint for sensor in mechanism.legs[0].sensors]
+    readings = np.stack([columns[name] for name in order], axis=1)
+    foot = 0.9j + np.exp(1j * hips) * (knee + 0.45 * np.exp(1j * (bend + bends)))
+    T = mechanism.platform.matrices(pincal.forward(mechanism, readings).poses)
+    np.testing.assert_allclose(T[:, 0, 3] + 1j * T[:, 1, 3], foot, atol=1e-9)
+    assert recovered(mechanism, readings, 1e-4) < 1e-8
+
+
+@pytest.mark.slow
+def test_cylinders_on_the_platform_close_in_their_plane(tmp_path: Path) -> None:
+    """An excavator that MuJoCo has: its second cylinder meets the link that is the platform.
+
+    Across the plane of its loop nothing is asked of its parameters, and it calibrates.
+    """
+    pytest.importorskip("mujoco")
+    hybrid().save(tmp_path / "hybrid")
+    done("export", tmp_path / "hybrid", "-o", tmp_path / "hybrid.xml")
+    done("import", tmp_path / "hybrid.xml", "-o", tmp_path / "again")
+    mechanism = pincal.load_mechanism(tmp_path / "again")
+    assert [end.closes for end in mechanism.legs[0].ends] == [("x", "y"), ("x", "y")]
+    home = mechanism.legs[0].home[mechanism.legs[0].active]
+    readings = home + np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3))
+    poses = pincal.forward(pincal.disturb(mechanism, 1e-4, seed=1), readings).poses
+    data = pincal.Measurements(readings=readings[:30], poses=poses[:30])
+    identified = pincal.calibrate(mechanism, data, noise=EXACT, folds=0).identified
+    np.testing.assert_allclose(pincal.forward(identified, readings).poses, poses, atol=1e-8)

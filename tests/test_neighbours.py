@@ -290,13 +290,32 @@ def test_a_five_bar_is_the_closed_form(tmp_path: Path) -> None:
     assert [len(leg.parameters) for leg in mechanism.legs] == [5, 5]
 
 
+def test_limbs_beside_the_platform_are_left_out(tmp_path: Path) -> None:
+    """A second five-bar on the same base, as a second leg of a humanoid, changes nothing."""
+    twin = [re.sub(r'(name|link)="(?!base")', r'\1="right_', one) for one in FIVE_BAR]
+    right = "['right_closedloop1_A', 'right_closedloop1_B']"
+    yaml = FIVE_BAR_YAML.replace("']]", f"'], {right}]").replace("['3d']", "['3d', '3d']")
+    yaml = yaml.replace("'mot1', 'mot2'", "'mot1', 'mot2', 'right_mot1', 'right_mot2'")
+    file = written(tmp_path, urdf("both", [*FIVE_BAR, *twin], "base"), yaml)
+    assert "--platform" in run("import", file, "-o", tmp_path / "both").trouble
+    outcome = done("import", file, "--platform", "b2", "-o", tmp_path / "both")
+    assert "right_mot1" in outcome.err
+    assert "in no loop with the platform, left out (driven)" in outcome.err
+    (tmp_path / "left").mkdir()
+    left = written(tmp_path / "left", urdf("left", FIVE_BAR, "base"), FIVE_BAR_YAML)
+    alone, both = read(left, "b2"), pincal.load_mechanism(tmp_path / "both")
+    readings = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 2))
+    poses = [pincal.forward(mechanism, readings).poses for mechanism in (alone, both)]
+    np.testing.assert_allclose(*poses, atol=1e-12)
+
+
 def test_a_base_may_stand_on_a_joint(tmp_path: Path) -> None:
     """On a turntable the five-bar is the same, from the link that is named as its base."""
     joints = [joint("yaw", "world", "base", "0.3 0 0.1", rpy="0 0 1"), *FIVE_BAR]
     file = written(tmp_path, urdf("fivebar", joints, "world"), FIVE_BAR_YAML)
     assert "--base" in run("import", file, "-o", tmp_path / "bar").trouble
     outcome = done("import", file, "--base", "base", "-o", tmp_path / "bar")
-    assert "yaw: in no loop, left out" in outcome.err
+    assert "yaw: in no loop with the platform, left out" in outcome.err
     points = np.random.default_rng(0).uniform((-0.1, 0.3), (0.1, 0.45), (20, 2))
     readings = pincal.inverse(pincal.load_mechanism(tmp_path / "bar"), points).readings
     np.testing.assert_allclose(readings, five_bar_angles(points), atol=1e-12)

@@ -43,6 +43,7 @@ def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
 
 def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
     """Return the serial arm between two links of a tree; loops are left out."""
+    tree = coupled(tree)
     foot = tree.root if base is None else tree.link(base, "the base")
     steps = route(tree.edges, foot, tree.link(tip, "the tip"))
     if not all(forward for _, forward in steps):
@@ -56,9 +57,7 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
                 f"{tree.source}: joint {stem!r} lets link {floor!r} float, and an arm stands on a "
                 f"base; import it with --base {floor}"
             )
-    tree = coupled(tree)
     tree.check_joints(names)
-    steps = route(tree.edges, foot, tree.link(tip, "the tip"))
     path, joints = Path(tree.source), tuple(joints_along(tree, steps))
     try:
         return arm(re.sub(r"\W", "_", tree.name), joints, f"Serial arm to {tip} of {path.name}.")

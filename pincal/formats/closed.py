@@ -101,7 +101,7 @@ def closed_mechanism(
             platform = tree.link(platform, "the platform")
         limbs, platform, loose = limbs_of(tree, platform)
         driven = " (driven)" if set(tree.active) & set(loose) else ""
-        remarks = [f"{listed(loose)}: in no loop, left out{driven}"] * bool(loose)
+        remarks = [f"{listed(loose)}: in no loop with the platform, left out{driven}"] * bool(loose)
         normal = plane_of(tree, [step for limb in limbs for step in limb.steps])
         kind, bare = _legs(tree, limbs, platform, normal)
         if normal is not None and abs(normal[2]) < 1.0 - EXACT:
@@ -140,9 +140,9 @@ def _legs(
 
     They have no parameters.
     """
-    driven, turn = set(tree.active), np.eye(3)
+    turn = np.eye(3)
     if platform is None:
-        legs, kind = point_platform(tree, limbs[0].ends[0], driven, normal), "point"
+        legs, kind = point_platform(tree, limbs[0].ends[0], normal), "point"
     else:
         limbs, kind = _guiding(tree, limbs, "spatial" if normal is None else "planar")
         link = tree.pose_at_zero(platform)[:3, :3]
@@ -150,8 +150,7 @@ def _legs(
             turn = link.T @ (turn if normal is None else onto_normal(normal))
         elif normal is not None:
             turn = onto_normal(link.T @ normal)
-        read = driven | tree.geared
-        legs = [leg_of(tree, limb, platform, read, normal) for limb in limbs]
+        legs = [leg_of(tree, limb, platform, normal) for limb in limbs]
     legs = [_in_frames(leg, normal, turn, tree.slack) for leg in legs]
     named = zip(_leg_names(legs), legs, strict=True)
     points = Counter(point.name for leg in legs for point in leg.points)
@@ -172,7 +171,7 @@ def _guiding(tree: Tree, limbs: list[Limb], kind: str) -> tuple[list[Limb], str]
             kind = kind if freedoms == "spatial" else freedoms or kind
         else:
             legs.append(limb)
-    if not {bond.joint.name for limb in legs for bond in limb.bonds} & set(tree.active):
+    if not {bond.joint.name for limb in legs for bond, _ in limb.steps} & set(tree.active):
         raise MechanismError(
             "no driven joint between base and platform: name one under name_mot (YAML) or give it "
             "a <transmission> (URDF) or an actuator (MJCF). Or is another link the base or the "

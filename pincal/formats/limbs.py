@@ -44,18 +44,13 @@ class Limb:
         ways = [*self.ends, *(way for loop in self.loops for way in loop)]
         return list(dict.fromkeys(step for way in ways for step in way))
 
-    @property
-    def bonds(self) -> list[Edge]:
-        """All its bonds."""
-        return [edge for edge, _ in self.steps]
-
 
 def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, list[str]]:
     """Return the limbs between base and platform, a link of this, and joints that are left out.
 
     The link is None if there is but one loop, and then its one way goes round, back to the base.
     """
-    graph = _Graph(tree)
+    graph, named = _Graph(tree), platform is not None
     base = graph.body[tree.root]
     platform = platform or graph.outermost(base)
     loose = graph.prune({base} | ({graph.body[platform]} if platform else set()))
@@ -65,19 +60,19 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
             "<equality> of MJCF), or import a serial arm with --tip LINK"
         )
     goal = graph.platform(base, platform)
-    if goal == base:
-        limbs = [Limb([graph.round()], [])]
-    else:
-        limbs = [graph.limb(bonds, base, goal) for bonds in graph.pieces({base, goal})]
+    limbs = [Limb([graph.round()], [])] if goal == base else graph.limbs(base, goal)
+    bonds = [bond for limb in limbs for bond, _ in limb.steps]
+    if lost := [bond.joint.name for bond in graph.bonds if bond not in bonds]:
+        if not named:
+            raise MechanismError(
+                f"{listed(lost)} lie on no way from the base {tree.root!r} to the platform "
+                f"{graph.named(goal)}; is another link the base or the platform (--base, "
+                "--platform)?"
+            )
+        graph.bonds = bonds
     graph.check_leaders()
-    passed = {edge.joint.name for limb in limbs if limb.ends for edge in limb.bonds}
-    tree.check_joints(sorted(passed))
-    if lost := [bond.joint.name for bond in graph.bonds if bond.joint.name not in passed]:
-        raise MechanismError(
-            f"{listed(lost)} lie on no way from the base {tree.root!r} to the platform "
-            f"{graph.named(goal)}; is another link the base or the platform (--base, --platform)?"
-        )
-    return limbs, platform or (None if goal == base else goal), loose
+    tree.check_joints(sorted(bond.joint.name for bond in bonds))
+    return limbs, platform or (None if goal == base else goal), [*loose, *lost]
 
 
 class _Graph:
@@ -184,24 +179,26 @@ class _Graph:
         steps = route(passable, first.child if forward else first.parent, root)
         return [(first, forward), *(step for step in steps if step[0].moves)]
 
-    def pieces(self, cut: set[str]) -> list[list[Edge]]:
-        """Return the bonds of each piece into which the graph falls where it is cut.
+    def limbs(self, base: str, goal: str) -> list[Limb]:
+        """Return the limbs between two bodies: pieces into which the graph falls, cut there.
 
         Joints that follow another one are in one piece with it.
         """
         touching = [
             [
-                not cut.issuperset({*self.ends(first)}.intersection(self.ends(second)))
+                not {base, goal}.issuperset({*self.ends(first)}.intersection(self.ends(second)))
                 or first.joint.leader.joint == second.joint.leader.joint
                 for second in self.bonds
             ]
             for first in self.bonds
         ]
         count, piece_of = connected_components(np.array(touching), directed=False)
-        return [
+        pieces = [
             [bond for bond, place in zip(self.bonds, piece_of, strict=True) if place == piece]
             for piece in range(count)
         ]
+        limbs = [self.limb(bonds, base, goal) for bonds in pieces]
+        return [limb for limb in limbs if limb.ends]
 
     def limb(self, bonds: Sequence[Edge], base: str, goal: str) -> Limb:
         """Return the limb of a piece's bonds; without ends if it is not between base and goal.
@@ -229,17 +226,23 @@ class _Graph:
         return limb
 
 
-def leg_of(tree: Tree, limb: Limb, platform: str, driven: set[str], normal: Array | None) -> Leg:
+def leg_of(tree: Tree, limb: Limb, platform: str, normal: Array | None) -> Leg:
     """Return the leg, without parameters, that a limb is.
 
-    In a plane if there is a normal, in the root's frame.
+    In a plane if there is a normal, in the root's frame. Where a way closes the platform's frame,
+    that is a link of the leg, on which further ways close loops within.
     """
-    closed = [_platform_end(tree, steps, platform, driven, normal) for steps in limb.ends]
+    closed = [_platform_end(tree, steps, platform, normal) for steps in limb.ends]
+    loops, frames = list(limb.loops), [end[2] == "frame" for end in closed]
+    if any(frames):
+        first = frames.index(True)
+        loops += [(steps, limb.ends[first]) for steps in limb.ends if steps is not limb.ends[first]]
+        closed = [closed[first]]
     (way, met, closes), *further = closed
     joints: list[Joint] = []
     ends = [End(_hang(joints, branch), point, closing) for branch, point, closing in further]
-    for near, far in limb.loops:
-        ends.append(_loop_end(tree, near, far, joints, driven, normal))
+    for near, far in loops:
+        ends.append(_loop_end(tree, near, far, joints, normal))
     if way[-1].kind != "fixed" or way[-1].name in (joint.name for joint in joints):
         way = [*way, Joint("tip", "fixed")]
     _hang(joints, way)
@@ -263,12 +266,7 @@ def _hang(joints: list[Joint], way: Iterable[Joint]) -> str:
 
 
 def _loop_end(
-    tree: Tree,
-    near: Sequence[Step],
-    far: Sequence[Step],
-    joints: list[Joint],
-    driven: set[str],
-    normal: Array | None,
+    tree: Tree, near: list[Step], far: list[Step], joints: list[Joint], normal: Array | None
 ) -> End:
     """Return the end that closes a loop within a leg, whose two ways are hung on its joints.
 
@@ -276,15 +274,16 @@ def _loop_end(
     """
     stem = sum(1 for a, b in zip(near, far, strict=False) if a == b)
     plane = plane_of(tree, [*near[stem:], *far[stem:]])
-    bond, _ = near[-1]
-    way, place = _to_point(_joints_to(tree, near, bond.child, plane), driven, tree.slack, plane)
-    onto = _joints_to(tree, far, bond.child, plane)
+    bond, forward = near[-1]
+    link = bond.child if forward else bond.parent
+    way, place = _to_point(tree, _joints_to(tree, near, link, plane), plane)
+    onto = _joints_to(tree, far, link, plane)
     hook = np.eye(4)
     if place is not None:
         hook[:3, 3] = place
     closes: Closing | tuple[str, ...] = "frame" if place is None else "point"
     if plane is not None and normal is None:
-        hook[:3, :3] = onto_normal(tree.pose_at_zero(bond.child)[:3, :3].T @ plane)
+        hook[:3, :3] = onto_normal(tree.pose_at_zero(link)[:3, :3].T @ plane)
         closes = ("x", "y") if place is not None else ("x", "y", "rz")
     if not np.array_equal(hook, np.eye(4)) or not onto or onto[-1].kind != "fixed":
         if place is None:
@@ -295,10 +294,10 @@ def _loop_end(
 
 
 def _platform_end(
-    tree: Tree, path: Sequence[Step], platform: str, driven: set[str], normal: Array | None
+    tree: Tree, path: Sequence[Step], platform: str, normal: Array | None
 ) -> tuple[list[Joint], Joint, Closing]:
     """Return the joints along a way to a link of the platform, what they meet there, and how."""
-    joints, place = _to_point(_joints_to(tree, path, platform, normal), driven, tree.slack, normal)
+    joints, place = _to_point(tree, _joints_to(tree, path, platform, normal), normal)
     if place is None:
         return joints, Joint("point", "fixed"), "frame"
     return joints, _point(tree, platform, path[-1], place), "point"
@@ -308,14 +307,17 @@ def _joints_to(
     tree: Tree, path: Sequence[Step], link: str | None, normal: Array | None
 ) -> list[Joint]:
     """Return the joints along a path, from the root to a link, or to where the path ends."""
-    edge, forward = path[-1]
-    passable = [*tree.fixed, *(edge for edge, _ in path)]
-    end = link or (edge.child if forward else edge.parent)
-    return joints_along(tree, route(passable, tree.root, end), normal)
+    steps, reached = list[Step](), tree.root
+    for edge, forward in path:
+        start, end = (edge.parent, edge.child)[:: 1 if forward else -1]
+        steps += [*route(tree.fixed, reached, start), (edge, forward)]
+        reached = end
+    steps += route(tree.fixed, reached, link or reached)
+    return joints_along(tree, steps, normal)
 
 
 def _to_point(
-    joints: list[Joint], driven: set[str], slack: float, normal: Array | None
+    tree: Tree, joints: list[Joint], normal: Array | None
 ) -> tuple[list[Joint], Array | None]:
     """Return a way's joints less the last passive ones, if these meet in a point, and where.
 
@@ -323,15 +325,15 @@ def _to_point(
     """
     count = 3 if normal is None else 1
     moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
-    last = moving[-count:]
-    passive = all(joints[i].kind == "revolute" and joints[i].name not in driven for i in last)
+    last, moved = moving[-count:], tree.geared.union(tree.active)
+    passive = all(joints[i].kind == "revolute" and joints[i].name not in moved for i in last)
     if len(moving) <= count or not passive:
         return joints, None
     frames = np.array([*accumulate((j.placement.origin() for j in joints[last[0] :]), np.matmul)])
     turned = frames[np.subtract(last, last[0])]
     origins = turned[:, :3, 3]
     axes = np.einsum("kij,kj->ki", turned[:, :3, :3], [joints[i].axis for i in last])
-    centre = _meeting_point(origins, axes, slack) if normal is None else origins[0]
+    centre = _meeting_point(origins, axes, tree.slack) if normal is None else origins[0]
     if centre is None:
         return joints, None
     place = (np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3] + 0.0
@@ -377,9 +379,7 @@ def _up_to(joints: Sequence[Joint], dropped: Joint, centre: Array) -> list[Joint
     return [*joints, Joint(dropped.name, "fixed", placement)]
 
 
-def point_platform(
-    tree: Tree, path: Sequence[Step], driven: set[str], normal: Array | None
-) -> list[Leg]:
+def point_platform(tree: Tree, path: Sequence[Step], normal: Array | None) -> list[Leg]:
     """Return two legs of two joints, one driven, that meet in a point of a planar loop."""
     if normal is None:
         raise MechanismError(
@@ -387,7 +387,7 @@ def point_platform(
         )
     legs: list[Leg] = []
     names, middle = [edge.joint.name for edge, _ in path], path[len(path) // 2][0]
-    drives = [name for name in names if name in driven]
+    drives = [name for name in names if name in tree.active]
     places = list(map(names.index, drives))
     geared = tree.geared.intersection(names)
     if geared or len(path) != 5 or middle.joint.kind == "prismatic" or places not in _IN_EACH_LEG:
