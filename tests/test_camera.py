@@ -536,9 +536,13 @@ def test_what_a_camera_cannot_see_is_not_planned() -> None:
         pincal.forecast("6UPS", plan, setup=pincal.Setup(instruments=(_unknown(true),)))
 
 
-def test_a_forecast_counts_what_cameras_see_alone() -> None:
-    """Information is that of pixels and readings, by a dense Jacobian; no pose is measured."""
-    board = pincal.Markers(Board("b", "charuco", (4, 5), 0.04).points, "b")
+@pytest.mark.parametrize("scale", [0.0, 2e-3])
+def test_a_forecast_counts_what_cameras_see_alone(scale: float) -> None:
+    """Information is that of pixels and readings, by a dense Jacobian; no pose is measured.
+
+    And of how well the scale of a print is known.
+    """
+    board = pincal.Markers(Board("b", "charuco", (4, 5), 0.04).points, "b", scale=scale)
     camera = replace(_camera(), known=False, markers=board, lens=_lens("pinhole", unknown=True))
     robot, rng = pincal.load_mechanism("6UPS"), np.random.default_rng(0)
     poses = robot.platform.home + 0.05 * rng.uniform(-1.0, 1.0, (12, 6))
@@ -558,7 +562,8 @@ def test_a_forecast_counts_what_cameras_see_alone() -> None:
         J = np.vstack((legs_rows, pixels))
         free, pose = J[:, :-6], np.linalg.qr(J[:, -6:])[0]
         stacked.append(free - pose @ (pose.T @ free))
-    rows = np.vstack(stacked)
+    prior = [(p.id == "b.scale") / (scale or 1.0) for p in camera.parameters]
+    rows = np.vstack((*stacked, np.append(np.zeros(n), prior)))
     sizes = np.linalg.norm(rows, axis=0)
     _, s, axes = np.linalg.svd(rows / sizes, full_matrices=False)
     rank = int((s > 1e-9 * s[0]).sum())

@@ -33,6 +33,7 @@ from pincal.estimation.observation import Observation
 from pincal.estimation.relations import at_touch
 from pincal.estimation.relations import touching as led_to_touch
 from pincal.estimation.rows import white_rows
+from pincal.estimation.unknowns import ExternalUnknowns
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
@@ -260,7 +261,11 @@ def forecast(
     if not len(legs.poses):
         check_reached(mechanism, plan)
     rows, systematic, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
-    flat, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
+    seen, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
+    external = ExternalUnknowns(mechanism.platform, setup, oriented=False)
+    sigmas = dict(zip(external.names, external.priors.tolist(), strict=True))
+    priors = np.diag([1.0 / sigmas.get(id_, np.inf) for id_ in unknowns])
+    flat = np.concatenate((seen, priors[priors.any(axis=1)]))
     rank = identifiability(flat, unknowns)
     lengths, s, axes = scaled_axes(flat)
     root = axes[: rank.rank] / lengths / s[: rank.rank, None]  # of the pseudo-inverse
@@ -268,7 +273,7 @@ def forecast(
     gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined[:n], setup)
     to_nominal = root[:, :n] @ nearest_to_nominal(mechanism, gauge).T
     # what is off in all rows comes on top, however many they are
-    moved = to_nominal.T @ (root @ (flat.T @ systematic.reshape(len(flat), -1)))
+    moved = to_nominal.T @ (root @ (seen.T @ systematic.reshape(len(seen), -1)))
     return Forecast(
         mechanism,
         names,
