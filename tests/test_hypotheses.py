@@ -485,6 +485,9 @@ def test_repeated_measurements_are_no_copies() -> None:
     shaken = np.round(poses + 1e-4 * np.random.default_rng(0).standard_normal(poses.shape), 4)
     assert len(np.unique(shaken, axis=0)) < len(shaken)
     check_copies(pincal.Measurements(shaken, readings=readings))
+    unseen = shaken.copy()
+    unseen[1:] = np.nan  # photos that show no board: nothing is repeated there
+    check_copies(pincal.Measurements(unseen, readings=readings[:1].repeat(len(unseen), axis=0)))
     twice = np.repeat(np.arange(len(data)), 2)
     sets = mechanism.leg_names * len(data)
     check_copies(pincal.Measurements(data.poses[twice], sets, readings=data.readings[twice]))

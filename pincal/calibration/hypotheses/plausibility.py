@@ -312,8 +312,8 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
     measured = np.column_stack([data.poses, *data.extra.values()])
     first: dict[tuple[str, bytes], int] = {}
     copies = []
-    from_others = np.full(len(data), ROW in data.contacts) & np.isnan(measured).all(axis=1)
-    for row in np.flatnonzero(~from_others).tolist():
+    nothing = np.isnan(measured).all(axis=1)  # as where a photo shows no board
+    for row in np.flatnonzero(~nothing | (nothing.all() & (ROW not in data.contacts))).tolist():
         served = "" if data.sets is None or every_pose else data.sets[row]
         first_row = first.setdefault((served, data.readings[row].tobytes()), row)
         if first_row == row:
