@@ -696,11 +696,15 @@ def test_a_real_arm_seen_by_two_cameras(
         values = np.array([result[p.id].identified for p in camera.parameters])
         seen = np.column_stack([pixels[name][~fitted] for name in camera.columns])
         missed = camera.evaluate(matrices, values, seen)[0].reshape(len(poses), -1, 2)
-        misses.append(np.linalg.norm(missed, axis=2).ravel())
+        misses.append(np.linalg.norm(missed, axis=2))
     missed = np.concatenate(misses)
     assert np.nanmedian(missed) <= median
     assert np.sqrt(np.nanmean(missed**2)) <= mean
-    if within:  # two halves of the sets differ by 0.28 mm, where this says 0.24
+    if within:  # two halves of the sets differ by 0.32 mm, where this says 0.26
+        moved = np.array([name == "lower_table2" for name, _ in rows])[~fitted]
+        misses[1][moved] = np.nan  # where the second camera stood 3 mm elsewhere
+        predicted = result.noise.pixel * np.sqrt(2.0 * result.reduced_chi2)
+        assert 0.8 < predicted / np.sqrt(np.nanmean(np.square(misses))) < 1.25
         error = result.expected_error()
         assert 0.14e-3 < error.position < 0.19e-3
         assert "best-fit frames and scale" in str(result)
