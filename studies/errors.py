@@ -131,7 +131,7 @@ class Found:
 
 def simulated(study: Study) -> None:
     """Calibrate machines with each error, and with what explains it."""
-    count = 2 if study.quick else 20
+    count = 1 if study.quick else 20
     mechanism = drawn()
     candidates = pincal.sample_workspace(mechanism, 3000, study.seed)
     selection = pincal.select_poses(mechanism, candidates, 24, noise=NOISE, seed=study.seed)

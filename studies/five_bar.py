@@ -55,7 +55,7 @@ def run(study: Study) -> None:
     study.progress("choosing postures")
     plans, seconds = _postures(study, circle)
     ways = _ways(plans)
-    draws = 12 if study.quick else 200
+    draws = 5 if study.quick else 200
     seeds = [noise for _, noise in trial_seeds(study.seed, draws)]
     study.progress(f"{draws} calibrations in each of {len(ways)} ways")
     nominal, truth = study.mechanism, study.mechanism.with_parameters(REAL)

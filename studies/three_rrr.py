@@ -39,12 +39,12 @@ def run(study: Study) -> None:
     selections, seconds = _selections(study, poses)
     ways = _ways(selections)
     bounds = cramer_rao(study, ways)
-    machines = 3 if study.quick else 100
+    machines = 2 if study.quick else 100
     study.progress(f"{machines} machines calibrated in each of {len(ways)} ways")
     after = measure_accuracies(study, ways, poses, machines)
     study.progress("mapping errors")
     draw_maps(study, ways[0], planes)
-    asymmetry(study, selections["symmetric, 24 a leg"].plan, 20 if study.quick else 200)
+    asymmetry(study, selections["symmetric, 24 a leg"].plan, 4 if study.quick else 200)
     study.heading("Cost of choosing")
     ratio = seconds["symmetric, 24 a leg"] / seconds["independent, 24 a leg"]
     title = f"symmetric over independent: {ratio:.2f} (one leg of three: 0.33)"

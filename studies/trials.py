@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Literal, TypeAlias
 
@@ -91,13 +91,14 @@ def _least_squares(
     """Return the end of least squares of the readings of one leg at some rows."""
     place = mechanism.leg_names.index(name)
     poses, readings = data.poses[rows], data.readings[rows, place]
+    alone = replace(mechanism, legs=(mechanism.legs[place],))
 
     def missed(values: Array) -> Array:
-        tried = mechanism.with_parameters({name: values})
-        return pincal.inverse(tried, poses).readings[:, place] - readings
+        tried = alone.with_parameters({name: values})
+        return pincal.inverse(tried, poses).readings[:, 0] - readings
 
     def slopes(values: Array) -> Array:
-        return pincal.identification_jacobian(mechanism, name, poses, values)
+        return pincal.identification_jacobian(alone, name, poses, values)
 
     start, tight = mechanism.legs[place].nominal, {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
     return least_squares(missed, start, slopes, method="lm", x_scale="jac", **tight)

@@ -124,9 +124,9 @@ def test_both_commands_give_the_same_files(folders: dict[str, Path], tmp_path: P
 
     Byte for byte, from the same seed.
     """
-    command = [sys.executable, "-m", "studies", "5r", "--quick", "-o", tmp_path / "again"]
+    command = [sys.executable, "-m", "studies", "6ups", "--quick", "-o", tmp_path / "again"]
     subprocess.run(command, cwd=Path(__file__).parents[1], check=True, capture_output=True)
-    first, again = contents(folders["5R"]), contents(tmp_path / "again")
+    first, again = contents(folders["6UPS"]), contents(tmp_path / "again")
     assert set(again) == set(first)
     text = [name for name in first if name.endswith((".md", ".csv"))]
     assert len(text) > 5
@@ -186,10 +186,10 @@ def test_beyond_geometry(folders: dict[str, Path]) -> None:
     """Errors withdraw the promise, are named, and mended: the limit is kept with their terms."""
     folder = folders["5R"].parent / "errors"
     promised = column(folder, "simulated", "promised")
-    assert promised[0] == "2 of 2"
-    assert promised[1] == "0 of 2"
+    assert promised[0] == "1 of 1"
+    assert promised[1] == "0 of 1"
     named = column(folder, "simulated", "named")
-    assert named[:2] == ["nothing (2)", "readings gravity (2)"]
+    assert named[:2] == ["nothing (1)", "readings gravity (1)"]
     before, after, limits = (
         np.array(column(folder, "simulated", name), dtype=float)
         for name in ("off", "off then", "limit then")
