@@ -19,7 +19,7 @@ LINES = {
     "cli": 2_929,
     "design": 2_322,
     "estimation": 4_799,
-    "files": 3_366,  # lines, as in all rooms
+    "files": 3_366,
     "formats": 3_547,
     "instruments": 1_563,
     "kinematics": 3_327,
