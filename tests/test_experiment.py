@@ -11,7 +11,7 @@ import pincal
 from pincal import indices
 from pincal.design.forecast import leg_rows
 from pincal.design.optimal import continuous_design, exchange
-from pincal.estimation.observability.indices import identifiability, r_diagonal
+from pincal.estimation.observability.identifiable import identifiability, r_diagonal
 from pincal.kinematics.configurations import leg_demands
 from pincal.workspace.criteria import in_workspace
 

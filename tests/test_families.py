@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal import Joint, Leg, Placement
-from pincal.estimation.observability.indices import identifiability
+from pincal.estimation.observability.identifiable import identifiability
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import LegClosure

@@ -12,7 +12,7 @@ from marks import quick
 from measured import seen_from_elsewhere, workspace
 
 import pincal
-from pincal.estimation.observability.indices import plausible_changes
+from pincal.estimation.observability.identifiable import plausible_changes
 
 NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
 

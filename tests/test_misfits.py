@@ -16,7 +16,7 @@ import pincal
 from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.plausibility import explain_misfit
-from pincal.estimation.observability.indices import DIFFER, plausible_changes
+from pincal.estimation.observability.identifiable import DIFFER, plausible_changes
 from pincal.show.misses import errors_at
 from pincal.words.findings import sentences
 

@@ -12,7 +12,7 @@ from motoman import SIDES, table_of
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.estimation.observability.indices import plausible_changes
+from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.unknowns import State
 

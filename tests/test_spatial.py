@@ -12,7 +12,7 @@ from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.estimation.observability.indices import r_diagonal
+from pincal.estimation.observability.identifiable import r_diagonal
 from pincal.kinematics import closing
 from pincal.model.orientation import WAYS, columns_of, rotation_of
 

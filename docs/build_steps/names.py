@@ -30,8 +30,8 @@ pincal.design.forecast.Forecast
 pincal.design.platform_error.PlatformError
 pincal.design.simulate.Accuracy
 pincal.design.simulate.Simulation
-pincal.estimation.observability.indices.Identifiability
-pincal.estimation.observability.indices.Indices
+pincal.estimation.observability.identifiable.Identifiability
+pincal.estimation.observability.identifiable.Indices
 pincal.finding.Finding
 pincal.kinematics.forward.ForwardSolution
 pincal.kinematics.configurations.InverseSolution

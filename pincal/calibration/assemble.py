@@ -26,7 +26,7 @@ from pincal.calibration.result_parts import (
 from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.gauge import Gauge
-from pincal.estimation.observability.indices import identifiability
+from pincal.estimation.observability.identifiable import identifiability
 from pincal.estimation.observability.residuals import leg_residuals, redundancy
 from pincal.estimation.problem import Problem
 from pincal.estimation.relations import touches

@@ -11,7 +11,7 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.estimation.fit import Fit, Outlier, curvature
 from pincal.estimation.observability.courses import Score, scores
-from pincal.estimation.observability.indices import plausible_changes
+from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.observability.residuals import together
 from pincal.estimation.system import FALSE_ALARM
 from pincal.finding import Finding

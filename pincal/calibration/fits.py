@@ -29,8 +29,7 @@ from pincal.estimation.components import (
 from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
-from pincal.estimation.observability.identifiable import HeldUnknowns, hold_unobservable
-from pincal.estimation.observability.indices import DIFFER
+from pincal.estimation.observability.identifiable import DIFFER, HeldUnknowns, hold_unobservable
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.robust import robust_fit
 from pincal.estimation.system import System, loss_of

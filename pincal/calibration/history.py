@@ -23,7 +23,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, load_result
 from pincal.design.platform_error import seen_of
 from pincal.errors import FileError, MeasurementError
-from pincal.estimation.observability.indices import nearest_to_nominal, plausible_changes
+from pincal.estimation.observability.identifiable import nearest_to_nominal, plausible_changes
 from pincal.kinematics.configurations import legs_at
 from pincal.model.parameter import Parameter
 from pincal.types import Array

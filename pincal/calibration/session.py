@@ -33,7 +33,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.design.order import Candidates
 from pincal.design.platform_error import PlatformError
 from pincal.errors import MeasurementError, PincalError
-from pincal.estimation.observability.indices import plausible_changes
+from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.problem import Linear
 from pincal.estimation.robust import as_one
 from pincal.estimation.solver import solve_poses

@@ -15,7 +15,7 @@ import pincal
 from pincal import FileError, Mechanism, Plan
 from pincal.cli.app import command, fail, remark, stdout, warn, working, wrote
 from pincal.cli.options import Force, Mech, Seed, TableOptions, output_option
-from pincal.estimation.observability.indices import identifiability
+from pincal.estimation.observability.identifiable import identifiability
 from pincal.files.columns import columns_of, reading_columns, reason_column
 from pincal.files.measurements import read_poses, read_readings
 from pincal.files.mechanism_folders import bundled

@@ -20,14 +20,15 @@ from pincal.blas import one_thread
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.gauge import split_frames
-from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
-from pincal.estimation.observability.indices import (
+from pincal.estimation.observability.identifiable import (
     GENERIC,
     NEGLIGIBLE,
     Identifiability,
+    WeakPair,
     identifiability,
     nearest_to_nominal,
     scaled_axes,
+    weak_pairs,
 )
 from pincal.estimation.observation import Observation
 from pincal.estimation.relations import at_touch

@@ -15,7 +15,7 @@ import numpy as np
 
 from pincal.blas import one_thread
 from pincal.estimation.observability.gauge import frame_motions, unexplained
-from pincal.estimation.observability.indices import NEGLIGIBLE
+from pincal.estimation.observability.identifiable import NEGLIGIBLE
 from pincal.kinematics.configurations import legs_at
 from pincal.model.checks import counted
 from pincal.model.measurements import Plan

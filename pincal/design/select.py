@@ -45,7 +45,7 @@ from pincal.design.orbits import (
 )
 from pincal.design.platform_error import seen_of
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.observability.indices import (
+from pincal.estimation.observability.identifiable import (
     NEGLIGIBLE,
     Identifiability,
     Indices,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.observability.indices import RANK_TOLERANCE
+from pincal.estimation.observability.identifiable import RANK_TOLERANCE
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.types import Array, Index

@@ -9,7 +9,7 @@ from scipy.special import chdtrc, ndtri
 
 from pincal.errors import ObservabilityError
 from pincal.estimation.fit import Fit, Outlier, fit
-from pincal.estimation.observability.indices import DIFFER, plausible_changes
+from pincal.estimation.observability.identifiable import DIFFER, plausible_changes
 from pincal.estimation.problem import Linear
 from pincal.estimation.solver import solve_poses, unsolved
 from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected

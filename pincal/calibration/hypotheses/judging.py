@@ -19,7 +19,7 @@ import numpy as np
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
-from pincal.estimation.observability.indices import DIFFER, changes_of
+from pincal.estimation.observability.identifiable import DIFFER, changes_of
 from pincal.estimation.problem import LegBlock, Linear, Problem
 from pincal.estimation.start import aligned
 from pincal.estimation.system import LOSSES, NormalEquations, System

@@ -33,7 +33,7 @@ from pincal.calibration.hypotheses.judging import (
 )
 from pincal.calibration.hypotheses.photos import photo_faults
 from pincal.errors import MeasurementError
-from pincal.estimation.observability.indices import DIFFER
+from pincal.estimation.observability.identifiable import DIFFER
 from pincal.estimation.observation import Observation
 from pincal.estimation.relations import at_touch, touches
 from pincal.estimation.unknowns import External

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.observability.indices import (
+from pincal.estimation.observability.identifiable import (
     DIFFER,
     NEGLIGIBLE,
     RANK_TOLERANCE,

@@ -24,7 +24,7 @@ from scipy.optimize import brentq
 from scipy.special import fdtrc, ndtr
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.observability.indices import NEGLIGIBLE, RANK_TOLERANCE
+from pincal.estimation.observability.identifiable import NEGLIGIBLE, RANK_TOLERANCE
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.system import UNLIKELY
 from pincal.kinematics.batches import least_squares, over_rows, product
