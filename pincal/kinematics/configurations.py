@@ -213,47 +213,32 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
 
 def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
     """Return what all legs demand at planned configurations, those that they reach."""
-    plan, count = as_plan(mechanism, planned), len(planned)
-    known = np.arange(count)
-    if plan.readings is not None:  # that lead there
-        known = np.flatnonzero(np.isfinite(plan.readings).all(axis=1))
-        plan = plan.rows(known)
-    poses, readings = plan.poses, plan.readings
-    solved = np.ones(len(poses), dtype=bool)
-    if mechanism.by_readings and readings is None:  # those with which some configuration is there
-        inverted = inverse(mechanism, poses)
-        solved = np.asarray(inverted.reached.all(axis=1))
-        poses, readings = poses[solved], inverted.readings[solved]
-    elif readings is not None:
-        solution = forward(mechanism, readings, poses, influences_of(mechanism, plan))
-        solved = solution.converged
-        poses, readings = solution.poses[solved], readings[solved]
-    demands = leg_demands(mechanism, replace(plan.rows(solved), poses=poses, readings=readings))
-    rows = (
-        block_diagonal([row.parameter for row in demands]),
-        np.concatenate([row.pose for row in demands], axis=1),
-        block_diagonal([row.reading for row in demands]),
-    )
-    ok = np.isfinite(rows[0]).all(axis=(1, 2)) & np.isfinite(rows[1]).all(axis=(1, 2))
-    places, reached = np.flatnonzero(solved)[ok], np.zeros(count, dtype=bool)
-    reached[known[places]] = True
-    parameter, pose, reading = (row[ok] for row in rows)
-    readings = None if readings is None else readings[ok]
-    contacts = plan.rows(places).contacts
-    return Legs(poses[ok], readings, reached, parameter, pose, reading, contacts)
+    plan = as_plan(mechanism, planned)
+    solved, reached = np.arange(len(plan)), np.zeros(len(plan), dtype=bool)
+    if mechanism.by_readings:  # which lead somewhere; with poses alone some configuration there
+        poses, readings, reasons = command(mechanism, plan)
+        solved = np.flatnonzero([not reason for reason in reasons])
+        plan = replace(plan.rows(solved), poses=poses[solved], readings=readings[solved])
+    demands = leg_demands(mechanism, plan)
+    parameter = block_diagonal([row.parameter for row in demands])
+    pose = np.concatenate([row.pose for row in demands], axis=1)
+    reading = block_diagonal([row.reading for row in demands])
+    ok = np.isfinite(parameter).all(axis=(1, 2)) & np.isfinite(pose).all(axis=(1, 2))
+    reached[solved[ok]], plan = True, plan.rows(ok)
+    derivatives = parameter[ok], pose[ok], reading[ok]
+    return Legs(plan.poses, plan.readings, reached, *derivatives, plan.contacts)
 
 
 def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
     """Return what each leg demands at configurations, poses in reach."""
     columns, legs = planned_influences(mechanism, plan), nominal_legs(mechanism)
     placed, places = [mechanism.platform.matrices(plan.poses)] * len(legs), range(len(legs))
+    known = influences = None
     if plan.readings is not None:
         known = [mechanism.known(place, plan.readings, columns) for place in places]
-        return leg_demands_at(legs, placed, known)
-    if columns is None:
-        return leg_demands_at(legs, placed)
-    influences = [mechanism.influences_at(place, columns) for place in places]
-    return leg_demands_at(legs, placed, influences=influences)
+    elif columns is not None:
+        influences = [mechanism.influences_at(place, columns) for place in places]
+    return leg_demands_at(legs, placed, known, influences)
 
 
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:

@@ -236,16 +236,16 @@ class Placement:
         origin = self.displacement(parameters) @ constant
         rpy, coordinates = self.rpy, self.coordinates
         if not self.corrects(parameters):
-            parts = zip("xyz", _floats(constant[:3, 3]), strict=True)
+            parts = zip("xyz", floats(constant[:3, 3]), strict=True)
             coordinates += tuple(Coordinate(axis, (value,)) for axis, value in parts if value)
         if self.turns or not np.array_equal(constant[:3, :3], self.origin()[:3, :3]):
             rpy = _roll_pitch_yaw(origin[:3, :3])
-        return replace(self, coordinates=coordinates, xyz=_floats(origin[:3, 3]), rpy=rpy)
+        return replace(self, coordinates=coordinates, xyz=floats(origin[:3, 3]), rpy=rpy)
 
 
 def placement_of(matrix: Array) -> Placement:
     """Return the placement, without coordinates, of a homogeneous matrix, shape (4, 4)."""
-    return Placement((), _floats(matrix[:3, 3]), _roll_pitch_yaw(matrix[:3, :3]))
+    return Placement((), floats(matrix[:3, 3]), _roll_pitch_yaw(matrix[:3, :3]))
 
 
 def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
@@ -255,9 +255,10 @@ def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
     """
     angles = yaw_pitch_roll(rotation[None])[0, ::-1]
     quarter = np.round(angles / (np.pi / 2)) * (np.pi / 2)
-    return _floats(np.where(np.abs(angles - quarter) < 1e-14, quarter, angles))
+    return floats(np.where(np.abs(angles - quarter) < 1e-14, quarter, angles))
 
 
-def _floats(values: Array) -> tuple[float, float, float]:
+def floats(values: Array) -> tuple[float, float, float]:
+    """Return three numbers of an array, without negative zeros."""
     x, y, z = (float(v) + 0.0 for v in values)
     return x, y, z

@@ -22,7 +22,7 @@ from pincal.model.checks import ROUNDING
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Coordinate, Placement, Value
+from pincal.model.placement import Coordinate, Placement, Value, floats
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 from pincal.model.terms import LOAD
@@ -174,7 +174,7 @@ def carry(leg: Leg, element: Element) -> Leg:
         axis = local @ np.array(joint.axis)
         if joint.kind == "revolute":
             axis = np.linalg.det(local) * axis
-        return replace(joint, placement=moved.at(new, residual), axis=_triple(axis))
+        return replace(joint, placement=moved.at(new, residual), axis=floats(axis))
 
     joints = tuple(carried(joint) for joint in leg.joints)
     point = carried(leg.point, leg.closes)
@@ -211,7 +211,7 @@ def _flip_axis(
     if axis[np.argmax(np.abs(axis))] > 0:
         return joint, sensor
     joint = replace(
-        joint, axis=_triple(-axis), home=-joint.home, lower=-joint.upper, upper=-joint.lower
+        joint, axis=floats(-axis), home=-joint.home, lower=-joint.upper, upper=-joint.lower
     )
     if sensor is not None:
         offset, zero = sensor.offset, sensor.zero
@@ -272,11 +272,6 @@ def _negative(value: Value, old: dict[str, float], new: dict[str, float]) -> Val
 
 def _number(value: Value, parameters: dict[str, float]) -> float:
     return parameters[value] if isinstance(value, str) else value
-
-
-def _triple(vector: Array) -> tuple[float, float, float]:
-    x, y, z = (float(v) + 0.0 for v in vector)
-    return x, y, z
 
 
 def generate(

@@ -306,9 +306,4 @@ def refuse_readings(mechanism: Mechanism) -> None:
 def in_workspace(mechanism: GivenMechanism, poses: Poses, least: Margins | None = None) -> Mask:
     """Return which poses count, shape (N,)."""
     mechanism = as_mechanism(mechanism)
-    placed = mechanism.platform.matrices(poses)
-    criteria = criteria_of(mechanism, as_margins(least))
-    inside = np.empty(len(placed), dtype=bool)
-    for rows in chunks(len(placed)):
-        inside[rows] = criteria(placed[rows])
-    return inside
+    return criteria_of(mechanism, as_margins(least))(mechanism.platform.matrices(poses))
