@@ -10,11 +10,12 @@ import pinocchio as pin
 import pytest
 from arms import loaded, robot, urdf
 from command_line import run
-from measured import put
+from measured import put, workspace
 
 import pincal
 from pincal import free_of_collision
 from pincal.design.forecast import information_rows
+from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import joints_at, legs_at
 
@@ -37,6 +38,26 @@ def information(
     _, s, axes = np.linalg.svd(flat / lengths, full_matrices=False)
     kept = (rows / lengths) @ axes[s > 1e-9 * s[0]].T
     return kept.transpose(0, 2, 1) @ kept
+
+
+def test_what_is_lost_of_the_frame_alone_takes_nothing_of_the_parameters() -> None:
+    """Of x and y a tracker's height says nothing: standard errors nearest to nominal, all the same.
+
+    By least squares with faint pulls to nominal, all in units of how far machines differ.
+    """
+    mechanism = pincal.load_mechanism("6UPS")
+    plan, setup = pincal.Plan(workspace("6UPS", 50)), pincal.Setup(unknown_frame=True)
+    forecast = pincal.forecast(mechanism, plan, NOISE, ["x", "y"], setup)
+    assert forecast.rank.n_params - forecast.rank.rank == 10
+    assert (forecast.gauge.shape[1], forecast.lost.shape[1]) == (9, 0)
+    legs = legs_at(mechanism, plan)
+    rows = information_rows(mechanism, legs, NOISE, ["x", "y"], setup)[0]
+    scale = np.append(plausible_changes(mechanism), np.full(6, 1e6))
+    J, pulls = rows.reshape(-1, len(scale)) * scale, np.append(np.full(48, 1e-4), np.full(6, 1e-7))
+    noise = np.eye(len(J), len(J) + len(scale)).T
+    estimate = np.linalg.lstsq(np.vstack((J, np.diag(pulls))), noise, rcond=None)[0]
+    wanted = (scale * np.linalg.norm(estimate, axis=1))[:48]
+    np.testing.assert_allclose(forecast.std, wanted, rtol=1e-5)
 
 
 def log_det(every: np.ndarray, chosen: list[int]) -> float:

@@ -143,9 +143,13 @@ def information_rows(
     return rows, errors, (*(p.id for p in mechanism.parameters), *observation.external.names), names
 
 
-def null_directions(lengths: Array, axes: Array, rank: int) -> Array:
-    """Return what rows do not determine, columns of shape (n, n_lost); see ``scaled_axes``."""
-    return np.asarray(np.linalg.qr((axes[rank:] / lengths).T)[0])
+def null_directions(lengths: Array, axes: Array, rank: int, count: int) -> Array:
+    """Return independent directions that rows do not determine, columns of shape (count, n_lost).
+
+    They are of the first unknowns; those of others alone are none. See ``scaled_axes``.
+    """
+    U, shares, _ = np.linalg.svd(axes[rank:, :count].T, full_matrices=False)
+    return np.asarray(np.linalg.qr(U[:, shares > NEGLIGIBLE] / lengths[:count, None])[0])
 
 
 def apart_from_frames(
@@ -270,8 +274,8 @@ def forecast(
     rank = identifiability(flat, unknowns)
     lengths, s, axes = scaled_axes(flat)
     root = axes[: rank.rank] / lengths / s[: rank.rank, None]  # of the pseudo-inverse
-    undetermined = null_directions(lengths, axes, rank.rank)
-    gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined[:n], setup)
+    undetermined = null_directions(lengths, axes, rank.rank, n)
+    gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined, setup)
     to_nominal = root[:, :n] @ nearest_to_nominal(mechanism, gauge).T
     # what is off in all rows comes on top, however many they are
     moved = to_nominal.T @ (root @ (seen.T @ systematic.reshape(len(seen), -1)))

@@ -377,7 +377,7 @@ def select_configurations(
     criterion = Criterion()
     if goal == "platform":
         n = legs.gain.shape[2]
-        lost = null_directions(lengths, axes, rank)[:n]
+        lost = null_directions(lengths, axes, rank, n)
         frames = apart_from_frames(mechanism, legs, lost, setup)[2]
         gain, units = seen_of(mechanism, legs.poses, legs.gain, frames)
         gain = gain[np.isfinite(gain).all(axis=(1, 2))]

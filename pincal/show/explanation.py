@@ -198,7 +198,8 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
 
     What is not determined first, whether or not it is a fault of the plan.
     """
-    rank, count = forecast.rank, forecast.gauge.shape[1]
+    rank = forecast.rank
+    count = rank.n_params - rank.rank - forecast.lost.shape[1]
     lines = [f"rank {rank.rank} of {rank.n_params}"]
     if count:
         group_name = f" ({groups_in_words(rank.groups)})" if len(rank.groups) == 1 else ""
