@@ -21,7 +21,7 @@ from .errors import (
     SymmetryError,
     WorkspaceError,
 )
-from .estimation.observability.indices import indices
+from .estimation.observability.identifiable import indices
 from .estimation.system import Loss
 from .files.mechanism_folders import load_mechanism
 from .instruments.camera import Camera, Markers

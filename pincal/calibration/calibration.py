@@ -174,12 +174,11 @@ class Calibration:
         measured = np.isfinite(readings)
         pairs = zip(readings.T, measured.T, strict=True)
         usual = [np.median(column[has]) if has.any() else 0.0 for column, has in pairs]
-        influences = np.empty((0, 0)) if self.influences is None else self.influences[rows].T
         return LegBlock(
             tuple(mechanism.legs[place] for place in places),
             mechanism.platform,
             np.where(measured, readings, usual),  # not used where not measured
-            dict(zip(mechanism.influences, influences, strict=True)),
+            by_name(mechanism, self.influences[rows]),
             rows,
             np.ones((len(rows), len(places)), dtype=bool) if used is None else used,
             self.noise.readings[np.ix_(rows, columns)],
@@ -187,8 +186,8 @@ class Calibration:
         )
 
     @cached_property
-    def influences(self) -> Array | None:
-        """What terms depend on, row by row, shape (N, n_influences); None if nothing."""
+    def influences(self) -> Array:
+        """What terms depend on, row by row, shape (N, n_influences)."""
         data = self.measurements
         values = {name: data.influences[name] for name in self.mechanism.influences}
         return influence_columns(self.mechanism, values, len(data))

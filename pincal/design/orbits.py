@@ -151,9 +151,7 @@ def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]
     Images, shape (E, M, 4, 4); and which count, (E, M), as they are not an earlier one of the same
     pose: a pose on a mirror has a smaller orbit.
     """
-    images = np.empty((len(elements), 4, 4, len(matrices))).transpose(0, 3, 1, 2)
-    for image, element in zip(images, elements, strict=True):
-        image[:] = element.matrices(matrices)
+    images = np.stack([element.matrices(matrices) for element in elements])
     size = float(np.ptp(images[..., :3, 3], axis=(0, 1)).max())
     within = ALIKE * np.array((1.0, 1.0, 1.0, size or 1.0))
     first = np.ones(images.shape[:2], dtype=bool)

@@ -127,14 +127,8 @@ def block_diagonal(parts: Sequence[Array]) -> Array:
 
 def turned(matrices: Array, vectors: Array) -> Array:
     """Return R v of poses, shape (N, 4, 4), and vectors (3, k, N or 1), shape (3, k, N)."""
-    if vectors.shape[2] != 1:
-        return np.einsum("nij,jkn->ikn", matrices[:, :3, :3], vectors)
-    k = vectors.shape[1]
-    takes = np.zeros((3, k, 3, 4))
-    for row in range(3):
-        takes[row, :, row, :3] = vectors[:, :, 0].T
-    entries = matrices.reshape(-1, 16)[:, :12]
-    return (takes.reshape(3 * k, 12) @ entries.T).reshape(3, k, -1)
+    every = np.broadcast_to(vectors, (*vectors.shape[:2], len(matrices)))
+    return np.einsum("nij,jkn->ikn", matrices[:, :3, :3], every)
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -95,7 +95,7 @@ def inverse(
             for name, n in ((leg.name, len(leg.moving)) for leg in mechanism.legs)
         }
     solution = _inverse(mechanism, placed, columns, near)
-    if columns is None:
+    if not mechanism.loaded:
         return solution
     coordinates = mechanism.platform.from_matrices(placed)
     tolerance = ROUNDING * max(1.0, mechanism.size)
@@ -110,7 +110,7 @@ def inverse(
 
 
 def _inverse(
-    mechanism: Mechanism, placed: Array, columns: Array | None, near: Mapping[str, Array] | None
+    mechanism: Mechanism, placed: Array, columns: Array, near: Mapping[str, Array] | None
 ) -> InverseSolution:
     """Return inverse kinematics at given influences, shape (N, n_influences)."""
     legs, count, n = nominal_legs(mechanism), len(placed), range(len(mechanism.legs))
@@ -119,8 +119,7 @@ def _inverse(
     readings = np.empty((count, len(mechanism.reading_names)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
     for rows in chunks(count):
-        at_rows = None if columns is None else columns[rows]
-        influences = [None if at_rows is None else mechanism.influences_at(i, at_rows) for i in n]
+        influences = [mechanism.influences_at(i, columns[rows]) for i in n]
         start = None if near is None else [near[name][rows] for name in mechanism.leg_names]
         groups = close_legs(legs, placed[rows], influences, start)
         positions = by_leg(groups, lambda group: group.joints)
@@ -175,10 +174,8 @@ def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
     return Plan(planned.poses, planned.sets, readings, influences=influences, contacts=contacts)
 
 
-def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
-    """Return columns of influences of a plan's rows in order, (N, n_influences), or None."""
-    if not mechanism.influences:
-        return None
+def planned_influences(mechanism: Mechanism, plan: Plan) -> Array:
+    """Return columns of influences of a plan's rows in order, shape (N, n_influences)."""
     readings = plan.readings
     if readings is None and mechanism.followed & set(mechanism.influences):
         readings = inverse(mechanism, plan.poses, influences_of(mechanism, plan)).readings
@@ -233,12 +230,11 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
     """Return what each leg demands at configurations, poses in reach."""
     columns, legs = planned_influences(mechanism, plan), nominal_legs(mechanism)
     placed, places = [mechanism.platform.matrices(plan.poses)] * len(legs), range(len(legs))
-    known = influences = None
-    if plan.readings is not None:
-        known = [mechanism.known(place, plan.readings, columns) for place in places]
-    elif columns is not None:
+    if plan.readings is None:
         influences = [mechanism.influences_at(place, columns) for place in places]
-    return leg_demands_at(legs, placed, known, influences)
+        return leg_demands_at(legs, placed, influences=influences)
+    known = [mechanism.known(place, plan.readings, columns) for place in places]
+    return leg_demands_at(legs, placed, known)
 
 
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:

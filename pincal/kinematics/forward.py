@@ -176,17 +176,16 @@ def forward(
 
 
 def _on_the_way(
-    mechanism: Mechanism, readings: Array, columns: Array | None, solution: ForwardSolution
+    mechanism: Mechanism, readings: Array, columns: Array, solution: ForwardSolution
 ) -> ForwardSolution:
     """Return forward kinematics with rows that were not found searched step by step from home."""
     lost = np.flatnonzero(~solution.converged)
     if not len(lost):
         return solution
     home, near = reading_range(mechanism)[2], np.tile(mechanism.platform.home, (len(lost), 1))
-    influences = None if columns is None else columns[lost]
     for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
         stage, guess = home + share * (readings[lost] - home), mechanism.platform.matrices(near)
-        reached = _forward(mechanism, stage, guess, influences)
+        reached = _forward(mechanism, stage, guess, columns[lost])
         near = np.where(reached.converged[:, None], reached.poses, near)
     reasons = np.array(solution.reasons, dtype=object)
     reasons[lost] = reached.reasons
@@ -206,7 +205,7 @@ def reading_range(mechanism: Mechanism) -> tuple[Array, Array, Array]:
 
 
 def _forward(
-    mechanism: Mechanism, readings: Array, guess: Array, columns: Array | None
+    mechanism: Mechanism, readings: Array, guess: Array, columns: Array
 ) -> ForwardSolution:
     """Return forward kinematics at given influences, shape (N, n_influences)."""
     legs, platform = nominal_legs(mechanism), mechanism.platform
@@ -224,15 +223,15 @@ def _forward(
 
 
 def with_loads(
-    mechanism: Mechanism, influences: Array | None, readings: Array, poses: Array | None = None
-) -> Array | None:
+    mechanism: Mechanism, influences: Array, readings: Array, poses: Array | None = None
+) -> Array:
     """Return columns of influences with the loads of joints and links that were not given.
 
     They are those of the machine as drawn, for a term depends on nothing that is identified, at
     poses (N, dof), base frame; or where readings (N, n_readings) would take it, or home. Where an
     arm stands follows from its readings alone, wherever it was measured.
     """
-    if influences is None or not mechanism.weighs:
+    if not mechanism.weighs:
         return influences
     places = [mechanism.influences.index(name) for name in mechanism.loaded]
     if not np.isnan(influences[:, places]).any():

@@ -24,10 +24,8 @@ _STILL = 1e-3  # of the range of a reading: it has not moved
 Influences = Mapping[str, Array | float] | Array
 
 
-def influence_columns(
-    mechanism: Mechanism, measured: Influences | None, count: int
-) -> Array | None:
-    """Return the columns of a mechanism's influences, (N, n_influences), or None if it has none.
+def influence_columns(mechanism: Mechanism, measured: Influences | None, count: int) -> Array:
+    """Return the columns of a mechanism's influences, shape (N, n_influences).
 
     Measured are, by column, a number for all rows or one for each, or all columns. NaN, at its
     reference, where nothing is given.
@@ -44,8 +42,6 @@ def influence_columns(
             f"no term of {mechanism.name!r} depends on {unknown[0]!r}; its influences: "
             f"{', '.join(names) or 'none'}"
         )
-    if not names:
-        return None
     columns = np.full((count, len(names)), np.nan)
     for name in measured:
         values = np.asarray(measured[name])
@@ -57,15 +53,15 @@ def influence_columns(
     return columns
 
 
-def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = None) -> Array | None:
-    """Return the columns of influences of rows in order of time, (N, n_influences), or None.
+def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = None) -> Array:
+    """Return the columns of influences of rows in order of time, shape (N, n_influences).
 
     Readings, shape (N, n_readings), are those of the plan or measurements if not given.
     """
     measured = own_influences(mechanism, plan.influences)
     columns = influence_columns(mechanism, measured, len(plan))
     readings = plan.readings if readings is None else readings
-    if columns is None or readings is None:
+    if readings is None:
         return columns
     runs = plan.runs if isinstance(plan, Measurements) else None
     for place, name in enumerate(mechanism.reading_names):
@@ -80,9 +76,9 @@ def own_influences(mechanism: Mechanism, columns: Mapping[str, Array]) -> dict[s
     return {name: columns[name] for name in mechanism.influences if name in columns}
 
 
-def by_name(mechanism: Mechanism, columns: Array | None) -> dict[str, Array]:
-    """Return columns of a mechanism's influences by name, each of shape (N,); none if None."""
-    return {} if columns is None else dict(zip(mechanism.influences, columns.T, strict=True))
+def by_name(mechanism: Mechanism, columns: Array) -> dict[str, Array]:
+    """Return columns of a mechanism's influences by name, each of shape (N,)."""
+    return dict(zip(mechanism.influences, columns.T, strict=True))
 
 
 def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:

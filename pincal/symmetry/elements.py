@@ -122,10 +122,7 @@ class Element:
 
     def matrices(self, matrices: Array) -> Array:
         """Return where poses ``T_base_platform``, shape (N, 4, 4), go: G_base T G_platform⁻¹."""
-        # one product for all poses, along which memory runs (see batches)
-        back = isometry(self.platform[:3, :3].T, -self.platform[:3, :3].T @ self.platform[:3, 3])
-        entries = np.kron(self.base, back.T)
-        return np.asarray((entries @ matrices.reshape(-1, 16).T).T.reshape(matrices.shape))
+        return np.asarray(self.base @ matrices @ self.inverse().platform)
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
         """Return where poses go, coordinates of shape (N, dof)."""
