@@ -21,7 +21,7 @@ from typer.main import get_command
 import pincal
 from pincal import errors
 from pincal.cli.app import app
-from pincal.model.orientation import WAYS
+from pincal.model.platform import WAYS
 from pincal.words.findings import WORDINGS
 from pincal.words.numbers import UNITS
 

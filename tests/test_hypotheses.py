@@ -22,7 +22,7 @@ from pincal.calibration.hypotheses.judging import Case, judge
 from pincal.calibration.hypotheses.plausibility import check_copies, check_noise
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
-from pincal.model.orientation import columns_of, rotation_of
+from pincal.model.platform import columns_of, rotation_of
 from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]

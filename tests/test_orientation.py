@@ -12,8 +12,8 @@ from marks import quick
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
-from pincal.model.orientation import WAYS, columns_of, rotation_of, turns_in_series
 from pincal.model.placement import placement_of
+from pincal.model.platform import WAYS, columns_of, rotation_of, turns_in_series
 
 Array = np.ndarray
 AXIS_ALIGNED = Rotation.create_group("O")

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.estimation.observability.identifiable import r_diagonal
 from pincal.kinematics import closing
-from pincal.model.orientation import WAYS, columns_of, rotation_of
+from pincal.model.platform import WAYS, columns_of, rotation_of
 
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
 #: Poses of Eqs. 35, 37 and 40: x, y, z [m], azimuth, tilt, torsion [rad].

@@ -27,7 +27,7 @@ from pincal.files.text import plain_number
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import WAYS, columns_of, rotation_of
+from pincal.model.platform import WAYS, columns_of, rotation_of
 from pincal.model.relations import TO
 from pincal.model.setup import Setup
 from pincal.types import Array

@@ -30,9 +30,8 @@ from pincal.model.checks import LARGEST
 from pincal.model.joint import Closing, Follows, Joint, JointKind
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import turns_in_series
 from pincal.model.placement import Placement, placement_of
-from pincal.model.platform import Platform
+from pincal.model.platform import Platform, turns_in_series
 from pincal.types import Array
 
 if TYPE_CHECKING:

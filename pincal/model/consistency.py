@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.model.checks import EXACT, LARGEST
-from pincal.model.orientation import WAYS
-from pincal.model.platform import TWIST
+from pincal.model.platform import TWIST, WAYS
 from pincal.model.terms import APPROACH
 
 if TYPE_CHECKING:

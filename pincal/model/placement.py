@@ -19,7 +19,7 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.model.checks import EXACT, one_line, triple
-from pincal.model.orientation import yaw_pitch_roll
+from pincal.model.platform import yaw_pitch_roll
 from pincal.types import Array
 
 Value = str | float  # a parameter's name, or a constant

@@ -33,8 +33,7 @@ from pincal.kinematics.singularity import (
 from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.consistency import home_gap
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import WAYS, rotation_of
-from pincal.model.platform import Platform, Poses
+from pincal.model.platform import WAYS, Platform, Poses, rotation_of
 from pincal.option import option
 from pincal.symmetry.elements import SAME, Element
 from pincal.types import Array, Mask

@@ -27,8 +27,7 @@ from pincal.calibration.hypotheses.judging import (
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.orientation import WAYS, columns_of, rotation_of
-from pincal.model.platform import Platform
+from pincal.model.platform import WAYS, Platform, columns_of, rotation_of
 from pincal.types import Array
 
 Right = Callable[[Measurements], Measurements]
