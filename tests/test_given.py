@@ -14,7 +14,7 @@ from pincal.workspace.criteria import in_workspace
 from pincal.workspace.grid import default_grid
 
 FIVE = pincal.load_mechanism("5R")
-POSES = pincal.sample_workspace(FIVE, 12)
+POSES = FIVE.platform.home + np.random.default_rng(0).uniform(-0.2, 0.2, (12, 2))
 PLAN = pincal.Plan(POSES)
 
 #: What takes a mechanism, called with one.
