@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import chain
 
 import numpy as np
@@ -115,19 +116,18 @@ def _outside_started(problem: Problem, state: State) -> State:
     by_prior = usual / outside.priors[roughly, None] * by_free[roughly]
     nominal = outside.coordinates(outside.start)[roughly]
 
-    def missed(values: Array) -> Array:
+    @lru_cache(maxsize=1)  # slopes are asked for where rows were missed last
+    def rows_at(*values: float) -> tuple[Array, Array]:
         moved = outside.moved(external, by_free @ values)
+        value, _, by_outside = dependent_rows.residuals(matrices, moved)
         far = (outside.coordinates(moved)[roughly] - nominal) / outside.priors[roughly]
-        return np.append(arms * dependent_rows.residuals(matrices, moved)[0], usual * far)
-
-    def slopes(values: Array) -> Array:
-        rows = dependent_rows.residuals(matrices, outside.moved(external, by_free @ values))[2]
-        J = (arms[:, None] * rows[:, :, theirs]).reshape(-1, by_free.shape[1])
-        return np.concatenate((J, by_prior))
+        J = (arms[:, None] * by_outside[:, :, theirs]).reshape(-1, by_free.shape[1])
+        return np.append(arms * value, usual * far), np.concatenate((J, by_prior))
 
     values = np.zeros(by_free.shape[1])
-    if not np.isfinite(missed(values)).all():  # behind a camera
+    if not np.isfinite(rows_at(*values)[0]).all():  # behind a camera
         return state
+    missed, slopes = (lambda x: rows_at(*x)[0]), (lambda x: rows_at(*x)[1])
     settings = {"x_scale": "jac", "f_scale": usual, "max_nfev": _MOST}
     for loss in ("linear", "soft_l1") if contacts or dependent_rows.setup.pixels else ("linear",):
         values = least_squares(missed, values, slopes, loss=loss, **settings).x

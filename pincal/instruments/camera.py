@@ -15,8 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 from pincal.instruments.lens import Lens
@@ -362,14 +361,17 @@ def _numbers_of(name: str, place: Array) -> dict[str, float]:
 
 def _matrix(place: Array) -> Array:
     """Return the transform of a position and a rotation vector, shapes (6,) and (4, 4)."""
-    turn = Rotation.from_rotvec(place[3:])
-    return RigidTransform.from_components(place[:3], turn).as_matrix()
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Rotation.from_rotvec(place[3:]).as_matrix(), place[:3]
+    return matrix
 
 
 def _jacobian(vector: Array) -> Array:
     """Return the turn of a change of a rotation vector, shape (3, 3): its left Jacobian."""
-    S = np.cross(vector, np.eye(3)).T  # the Jacobian is the integral of exp(s S), s from 0 to 1
-    return np.asarray(expm(np.block([[S, np.eye(3)], [np.zeros((3, 6))]]))[:3, 3:])
+    angle, S = np.linalg.norm(vector), np.cross(vector, np.eye(3)).T
+    sine, half = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi))
+    along = (1.0 - sine) / angle**2 if angle > 1e-4 else 1.0 / 6.0
+    return np.asarray(sine * np.eye(3) + 0.5 * half**2 * S + along * np.outer(vector, vector))
 
 
 def _looking(position: Point, towards: Point) -> Point:

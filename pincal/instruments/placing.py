@@ -65,8 +65,7 @@ def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, 
     place = np.concatenate((bundle.solution(turn)[0], turn))
     if points is not None:
         return place, points
-    final = _Rays(T, rays, None)
-    return place, final.points_from(place)
+    return place, _Rays(T, rays, None).points_from(place)
 
 
 class _Rays:
@@ -97,11 +96,10 @@ class _Rays:
         normal[0, :, 0] = A.sum(axis=(0, 1))
         A_t = (A @ t[:, None, :, None])[..., 0]
         right[0] = A_t.sum(axis=(0, 1))
-        coupled = AR.sum(axis=0)
-        for m in range(M):
-            normal[m + 1, :, m + 1] = np.einsum("nji,njk->ik", R, AR[:, m])
-            normal[0, :, m + 1], normal[m + 1, :, 0] = -coupled[m], -coupled[m].T
-            right[m + 1] = -np.einsum("nji,nj->i", R, A_t[:, m])
+        coupled, RT, m = AR.sum(axis=0), R.transpose(0, 2, 1)[:, None], np.arange(1, M + 1)
+        normal[m, :, m] = (RT @ AR).sum(axis=0)
+        normal[0, :, m], normal[m, :, 0] = -coupled, -coupled.transpose(0, 2, 1)
+        right[1:] = -(RT @ A_t[..., None]).sum(axis=0)[..., 0]
         size = 3 * (M + 1)
         x = np.linalg.lstsq(normal.reshape(size, size), right.ravel(), rcond=1e-9)[0].reshape(-1, 3)
         y = (R @ x[1:].T).transpose(0, 2, 1) + (t - x[0])[:, None]
