@@ -2,7 +2,7 @@
 function Dots({ data, pane, node, element, places, about, show, pixels, move }) {
   const tip = element("div", "", pane);
   Object.assign(tip, { className: "tip", hidden: true });
-  let pressed; // the event by which a button or finger went down
+  let pressed = {}; // the event by which a button or finger went down
 
   function under({ clientX, clientY }) { // the pose whose dot is nearest to the pointer
     const { left, top } = pane.getBoundingClientRect();
