@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal import Load
 from pincal.calibration.calibrate import prepared, started
-from pincal.kinematics.configurations import home_of
+from pincal.kinematics.configurations import home_of, planned_influences
 from pincal.kinematics.influences import gravity_loads
 
 PAYLOAD = Load(5.0, (0.02, 0.01, 0.07), (0.3, -1.0, -9.81))
@@ -138,6 +139,21 @@ def test_loads_are_those_where_the_platform_is(*, elsewhere: bool) -> None:
     found = asked.measurements.influences
     used = np.column_stack([found[f"load_{leg}"] for leg in plain.leg_names])
     assert np.abs(used - own).max() < 0.1 * np.abs(own).max()
+
+
+def test_loads_of_links_alone_are_those_of_the_drawing(tmp_path: Path) -> None:
+    """A delta moved by 1 mm, saved and read: rows are loaded as they were before, to the digit."""
+    plain = replace(heavy(pincal.load_mechanism("delta")), load=None)
+    poses = workspace("delta", 12)
+    data = pincal.Measurements(poses=poses, readings=pincal.inverse(plain, poses).readings)
+    nominal = started(prepared(plain, data, noise=pincal.Noise(1e-5), terms="gravity")).mechanism
+    pincal.disturb(nominal, 1e-3, seed=0).save(tmp_path / "moved")
+    before, after = (
+        planned_influences(machine, data)
+        for machine in (nominal, pincal.load_mechanism(tmp_path / "moved"))
+    )
+    assert np.abs(before).max() > 0.0
+    np.testing.assert_array_equal(after, before)
 
 
 @pytest.mark.slow

@@ -210,9 +210,9 @@ class Mechanism:
         if legs == self.legs:
             return self
         load = self.load
-        if load is not None and self.loaded and not load.drawn:
-            drawn = tuple((p.id, p.nominal) for p in self.parameters if p.id not in self.amplitudes)
-            load = replace(load, drawn=drawn)
+        if self.loaded and self.weighs and not (load and load.drawn):
+            drawn = tuple((p.id, p.nominal) for p in self.without_terms.parameters)
+            load = replace(load or Load(), drawn=drawn)
         return replace(self, legs=legs, load=load)
 
     @cached_property
