@@ -519,3 +519,19 @@ def test_an_orientation_in_part_is_refused() -> None:
     yaw = table.drop(columns=[f"{name} [rad]" for name in ("azimuth", "tilt", "torsion")])
     with pytest.raises(pincal.MeasurementError, match="no column 'pitch' beside 'yaw'"):
         pincal.calibrate(mechanism, yaw.assign(**{"yaw [rad]": 0.1}), noise=NOISE)
+
+
+@pytest.mark.parametrize(("kind", "freedoms"), [("delta", 6), ("5R", 3)])
+def test_frame_and_target_that_move_together_are_no_redundant_parameters(
+    kind: str, freedoms: int
+) -> None:
+    """A platform that does not turn: a target's offset is the frame's, and no parameter's."""
+    mechanism = pincal.load_mechanism(kind)
+    plan, noise = pincal.Plan(workspace(kind, 30)), pincal.Noise(1e-4, 1e-4, 1e-5)
+    data = pincal.simulate(mechanism, mechanism, plan, noise, 0).measurements
+    options = {"unknown_frame": True, "unknown_target": True}
+    result = pincal.calibrate(mechanism, data, noise=noise, **options)
+    (frame,) = result.gauge
+    assert (frame.code, frame.values["freedoms"]) == ("gauge-base-frame", freedoms)
+    assert result.gauge_directions is not None
+    assert np.linalg.matrix_rank(result.gauge_directions) == freedoms

@@ -182,16 +182,16 @@ def find_gauge(
         raise ObservabilityError(
             f"what is measured leaves parameters undetermined at any poses: {lacking}"
         )
-    n_lost = moved.shape[1]
-    if problem.observation.setup.pixels:  # camera and markers may move together
-        n_lost = int(np.linalg.matrix_rank(moved, rtol=NEGLIGIBLE))
-    n_still = n_lost - frames.shape[1]
+    outside, of_legs = problem.observation.external, plausible_changes(mechanism)
+    U, shares, _ = np.linalg.svd(moved / of_legs[:, None], full_matrices=False)
+    # frame and target, or camera and markers, may move together without the legs
+    moved = U[:, shares > NEGLIGIBLE * shares.max(initial=0.0)] * of_legs[:, None]
+    n_still = moved.shape[1] - frames.shape[1]
     findings = _freedoms(frames, mechanism, problem.observation.setup)
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
         findings.append(finding("redundant-parameters", count=n_still, groups=groups))
     # how much the square of each unknown's change counts: frames not, targets hardly
-    outside, of_legs = problem.observation.external, plausible_changes(mechanism)
     counts = [0.0 if name.startswith("tracker.") else _TARGETS for name in outside.names]
     weights = np.concatenate(
         (1.0 / of_legs**2, np.array(counts) / (DIFFER * outside.sizes(size)) ** 2)
