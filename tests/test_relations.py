@@ -298,6 +298,7 @@ def test_distances_from_plan_to_report(tmp_path: Path) -> None:
     for table in (measured, half):
         out = done("calibrate", bar, table, *noise, "-o", tmp_path / "result", "--force").out
         assert "best-fit frames" in out
+        assert "frames and scale" not in out
         assert "touched" not in out
         result = pincal.load_result(tmp_path / "result")
         assert [part.name for part in result.observed] == ["distance"]

@@ -340,10 +340,8 @@ class _Corners:
         x = np.zeros((n, 7))
         x[:, 2], x[:, 3] = self.first, self.second
         x[:, 6] = 1.0
-        shape = self._model(x, saddle)[0]
-        for i in range(n):  # grey values are linear
-            design = np.column_stack((np.ones(len(w[i])), shape[i])) * w[i, :, None]
-            x[i, 5:] = np.linalg.lstsq(design, self.values[i] * w[i], rcond=None)[0]
+        design = w[:, :, None] * self._model(x, saddle)[1][:, :, 5:]  # grey values are linear
+        x[:, 5:] = (np.linalg.pinv(design) @ (w * self.values)[:, :, None])[:, :, 0]
         damping, cost = np.full(n, 1e-3), np.full(n, np.inf)
         trial = x
         for _ in range(_STEPS):

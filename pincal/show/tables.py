@@ -11,6 +11,7 @@ from pincal.calibration.terms.screen import Candidate
 from pincal.calibration.validation import MISSES
 from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
+from pincal.estimation.observability.identifiable import NEGLIGIBLE
 from pincal.model.checks import counted, listed
 from pincal.model.mechanism import Mechanism
 from pincal.show.misses import (
@@ -191,8 +192,8 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> list[T
     """
     missed, region, rows = held_out_errors(result), "", dict[str, dict[str, str]]()
     if result.explained and errors.determined and errors.moved:
-        moved = result.frames_moved
-        scale = " and scale" * (moved is not None and bool(moved[-1].any()))
+        grown = 0.0 if result.frames_moved is None else np.abs(result.frames_moved[-1])
+        scale = " and scale" * bool(np.max(grown, initial=0.0) > NEGLIGIBLE)
         region = f" {errors.where}" + f", best-fit frames{scale}" * result.moves_frames
         sizes = zip(errors.mean_before(), errors.mean_after(), errors.inside.limit, strict=True)
         for unit, (before, after, limit) in zip(("m", "rad"), sizes, strict=True):
