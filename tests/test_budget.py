@@ -17,7 +17,7 @@ LINES = {
     "architectures": 628,
     "calibration": 6_719,
     "cli": 2_929,
-    "design": 2_325,
+    "design": 2_321,
     "estimation": 4_777,
     "files": 3_366,
     "formats": 3_546,

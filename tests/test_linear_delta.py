@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import runpy
 from pathlib import Path
 
@@ -127,7 +128,7 @@ def test_a_probe_that_stops_at_one_height_is_no_course_of_the_pose() -> None:
     assert not result.contradictions
 
 
-def test_what_heights_tell_is_forecast() -> None:
+def test_what_heights_tell_is_forecast(tmp_path: Path) -> None:
     """Rank 9 of 12; arm and radius weakly told apart, by as much as fixing one of them shows."""
     mechanism = pincal.load_mechanism("linear_delta")
     forecast = pincal.forecast(mechanism, bed(), PROBE, ("z",))
@@ -140,6 +141,8 @@ def test_what_heights_tell_is_forecast() -> None:
     pair = next(one for one in result.weak if one.first == "leg_1.radius")
     assert pair.second == "leg_1.arm"
     assert pair.correlation > 0.95
+    written = json.loads((result.save(tmp_path / "result") / "result.json").read_text())
+    assert pair._asdict() in written["weakly_determined"]
     held = pincal.calibrate(mechanism, data, noise=PROBE, fixed=["arm"])
     assert held.legs[0].std[0] < 0.5 * result.legs[0].std[0]
 

@@ -327,7 +327,8 @@ def exchange(
     total = len(rows[0])
     if total < count:
         raise ObservabilityError(
-            f"{total} candidates are in reach, no two of them alike; {count} are to be chosen"
+            f"{total} candidates are in reach, no two of them alike; {count} are to be chosen. "
+            "Give more candidates"
         )
     size = max(_POOL, _POOL_PER_CHOSEN * count)
     drawn = rng.integers(total, size=_RANDOM)

@@ -363,11 +363,6 @@ def select_configurations(
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan, "the candidates")
-    if len(legs.poses) < count:
-        raise ObservabilityError(
-            f"{mechanism.name!r} reaches {len(legs.poses)} of {len(plan)} candidates, of which no "
-            f"two are alike; {count} are to be chosen. Give more candidates"
-        )
     white, _, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
     flat = white.reshape(-1, white.shape[2])
     identifiable = identifiability(flat, unknowns)
