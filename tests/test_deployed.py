@@ -188,7 +188,7 @@ def test_terms_that_no_file_can_hold_are_refused(tmp_path: Path) -> None:
     leg = robot.legs[0]
     sensor = replace(leg.sensors[0], terms=(term,))
     leg = replace(leg, sensors=(sensor,), parameters=(*leg.parameters, ("own", 1e-4)))
-    with pytest.raises(pincal.MechanismError, match="corrections"):
+    with pytest.raises(pincal.MechanismError, match="readings of your poses"):
         pincal.deploy(replace(robot, legs=(leg, robot.legs[1])), tmp_path / "controller")
     assert not (tmp_path / "controller").exists()
 

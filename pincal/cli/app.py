@@ -25,7 +25,7 @@ from typing import Annotated, Any, NoReturn
 import numpy as np
 import typer
 from rich.console import Console
-from typer.core import TyperArgument, TyperGroup
+from typer.core import TyperArgument
 
 from pincal import __version__
 from pincal.cli.options import filled, option_parameters
@@ -76,20 +76,8 @@ _TypedWrong: type[Exception] = typer.BadParameter.__mro__[2]  # click's, whose c
 _NAMED = inspect.Parameter.KEYWORD_ONLY
 
 
-class _Commands(TyperGroup):
-    """All commands."""
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command in whose help arguments have names, and no types of Python."""
-        named_command = super().get_command(ctx, cmd_name)
-        for parameter in named_command.params if named_command else ():
-            if isinstance(parameter, TyperArgument):
-                parameter.display_type_rich = lambda ctx: None  # type: ignore[method-assign]  # noqa: ARG005
-        return named_command
-
-
+TyperArgument.display_type_rich = lambda *_, **__: None  # type: ignore  # help names no types
 app = typer.Typer(
-    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,  # so that [m] in a help text stays

@@ -33,6 +33,7 @@ from pincal.files.urdf_writing import leg_urdf
 from pincal.formats import arm, closed, firmware, mjcf, users_urdf
 from pincal.formats.delta_printer import delta_printer
 from pincal.option import option
+from pincal.show.report import mechanism_lines
 
 PROBING = "probing.csv"
 _LARGE, _ROWS = 20.0, 1000  # size that is doubted [m]; rows over the workspace
@@ -53,14 +54,7 @@ _TO_CONVERT = {
     "of sdformat_tools)",
     ".xacro": f"a file of macros, which xacro expands to URDF: {XACRO}",
 }
-#: Options of an import that are of some formats only.
-_ONLY = {
-    "loops": ("urdf",),
-    "platform": ("urdf", "mjcf"),
-    "tip": ("urdf", "mjcf"),
-    "base": ("urdf", "mjcf"),
-    "probed": ("klipper", "reprap", "marlin"),
-}
+_TREES = ("urdf", "mjcf")  # formats of any mechanism; the others are printers'
 
 
 @dataclass(frozen=True)
@@ -125,10 +119,11 @@ def import_(
             f"{file} does not say whose file it is; expected the ending {', '.join(INPUTS)}, or "
             "--format (a table of measurements needs no import: see 'pincal calibrate')"
         )
-    refuse_options(options, [name for name in _ONLY if form not in _ONLY[name]], str(file))
+    foreign = ("probed",) if form in _TREES else ("loops", "platform", "tip", "base")
+    refuse_options(options, (*foreign, *["loops"] * (form == "mjcf")), str(file))
     if options.tip is not None:
         refuse_options(options, ("platform", "loops"), "a serial arm (--tip)")
-    read = _import_tree if form in _ONLY["tip"] else _import_printer
+    read = _import_tree if form in _TREES else _import_printer
     warn(*read(file, output, form, options))
     wrote(output)
 
@@ -189,21 +184,8 @@ def _import_tree(
     if (size := mechanism.size) > _LARGE:
         remarks += [f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?"]
     save_mechanism(replace(mechanism, name=named_after(output)), output, force=options.force)
-    _say_what_it_is(mechanism)
+    say(*mechanism_lines(mechanism))
     return remarks
-
-
-def _say_what_it_is(mechanism: Mechanism) -> None:
-    platform = mechanism.platform
-    coordinates = zip(platform.coordinates, platform.home, platform.units, strict=True)
-    home = (f"{name} {round(value, 9) + 0.0:.6g} {unit}" for name, value, unit in coordinates)
-    say(f"{platform.kind} platform, at home {', '.join(home)}")
-    for leg in mechanism.legs:
-        marks = {sensor.joint: "*" for sensor in leg.sensors}
-        marks |= {j.name: f" (follows {j.leader.joint})" for j in leg.articulated if j.follows}
-        joints = ", ".join(joint.name + marks.get(joint.name, "") for joint in leg.articulated)
-        say(f"{leg.name}: {joints}; {leg.closing}; {len(leg.parameters)} parameters")
-    stdout.print("* driven: its position is read")
 
 
 @command
@@ -267,7 +249,7 @@ def _exported(
             f"{mechanism.name!r} has loops, which a URDF has no place for: write MJCF (.xml), or "
             "give your own URDF (--original); each leg's URDF is in its folder"
         )
-    if form in _ONLY["tip"]:
+    if form in _TREES:
         text = mjcf.mjcf(mechanism) if form == "mjcf" else leg_urdf(mechanism.legs[0])
         return text.encode(), mjcf.unwritten(mechanism)
     printer = delta_printer(mechanism)

@@ -21,6 +21,7 @@ from pincal.model.platform import Platform
 from pincal.types import Array
 from pincal.words.numbers import SI, UNITS, Units
 
+_ZERO = "length at reading 0"  # which a strut or cable has
 _STEP = 1e-6  # of parameters, for differences [m] or [rad]
 _MOVED = 1e-6  # by a direction of length 1: it is not determined
 Columns = dict[str, list[str] | Array]
@@ -40,7 +41,7 @@ def _geometry(leg: Leg, platform: Platform, parameters: Array) -> dict[str, tupl
         return {
             "base joint": ("m", form.centre),
             "platform joint": ("m", point),
-            "length at reading 0": ("m", np.array([zero])),
+            _ZERO: ("m", np.array([zero])),
             "length by reading": ("1", np.array([form.mode * slope])),
         }
     rod = {"rod length": ("m", np.array([form.length])), "platform joint": ("m", point)}
@@ -122,32 +123,27 @@ def genhexkins(mechanism: Mechanism) -> str:
     Raises:
         MechanismError: no hexapod with six struts on points.
     """
-    closures = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
-    forms = [
-        form
-        for closure in closures
-        if (form := closed_form(closure)) and form.frame is None
-        if closure.leg.active == [form.driven]
-    ]
-    if mechanism.platform.dof != 6 or not len(forms) == len(closures) == 6:
+    platform, plain = mechanism.platform, [leg.without_terms for leg in mechanism.legs]
+    legs = [_geometry(leg, platform, leg.nominal) for leg in plain]
+    if platform.dof != 6 or len(legs) != 6 or not all(_ZERO in leg for leg in legs):
         raise MechanismError(
             f"{mechanism.name!r} is no hexapod with six struts between points, the machine that "
             "genhexkins is for"
         )
     lines = [f"# joint centres of {mechanism.name} [mm], for loadrt genhexkins"]
-    for place, (form, closure) in enumerate(zip(forms, closures, strict=True)):
-        point = closure.targets(np.eye(4)[None])[0]
-        for owner, centre in (("base", form.centre), ("platform", point)):
+    for place, described in enumerate(legs):
+        for owner in ("base", "platform"):
             lines += [
                 f"setp genhexkins.{owner}.{place}.{axis} {1e3 * value:.9f}"
-                for axis, value in zip("xyz", centre, strict=True)
+                for axis, value in zip("xyz", described[f"{owner} joint"][1], strict=True)
             ]
     lines.append("setp genhexkins.screw-lead 0")
-    for place, (form, closure) in enumerate(zip(forms, closures, strict=True)):
-        law = sensor_law(closure)
-        zero, slope = form.mode * (law.start[0] + form.length), form.mode * law.slope[0]
-        length = f"{1e3 * zero:.9f} + {slope:.12f} × reading of {closure.leg.name} [mm]"
-        lines.append(f"# joint {place} [mm] = {length}{', without its terms' * bool(law.terms)}")
+    for place, (leg, described) in enumerate(zip(mechanism.legs, legs, strict=True)):
+        (zero,), (slope,) = described[_ZERO][1], described["length by reading"][1]
+        length = f"{1e3 * zero:.9f} + {slope:.12f} × reading of {leg.name} [mm]"
+        lines.append(
+            f"# joint {place} [mm] = {length}{', without its terms' * bool(leg.amplitudes)}"
+        )
     return "\n".join(lines) + "\n"
 
 

@@ -258,17 +258,25 @@ def _measured(result: CalibrationResult) -> dict[str, str]:
 # What mechanisms and results show in print and in notebooks
 
 
+def mechanism_lines(mechanism: Mechanism) -> list[str]:
+    """Return what platform and legs are, in lines."""
+    platform = mechanism.platform
+    coordinates = zip(platform.coordinates, platform.home, platform.units, strict=True)
+    home = (f"{name} {round(value, 9) + 0.0:.6g} {unit}" for name, value, unit in coordinates)
+    lines = [f"{platform.kind} platform, at home {', '.join(home)}"]
+    for leg in mechanism.legs:
+        marks = {sensor.joint: "*" for sensor in leg.sensors}
+        marks |= {j.name: f" (follows {j.leader.joint})" for j in leg.articulated if j.follows}
+        joints = ", ".join(joint.name + marks.get(joint.name, "") for joint in leg.articulated)
+        lines.append(f"{leg.name}: {joints}; {leg.closing}; {len(leg.parameters)} parameters")
+    return [*lines, "* driven: its position is read"]
+
+
 def mechanism_text(mechanism: Mechanism) -> str:
     """Return a mechanism as a page of text: platform, legs, nominal parameters."""
-    platform = mechanism.platform
-    columns = zip(platform.coordinates, platform.home, platform.units, strict=True)
-    home = ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in columns)
-    lines = [": ".join(filter(None, (mechanism.name, mechanism.description)))]
-    lines.append(f"platform {platform.kind}, at home {home}")
-    for leg in mechanism.legs:
-        read = ", ".join(leg.reading_names) or "nothing"
-        lines.append(f"{leg.name}: {leg.joint_letters}, reads {read}, {leg.closing}")
-    return "\n".join([*lines, "", str(tables.nominal_table(mechanism))])
+    title = ": ".join(filter(None, (mechanism.name, mechanism.description)))
+    table = str(tables.nominal_table(mechanism))
+    return "\n".join([title, *mechanism_lines(mechanism), "", table])
 
 
 def mechanism_html(mechanism: Mechanism) -> str:
