@@ -24,6 +24,7 @@ from test_deformations import machine_of, plan_of
 import pincal
 from pincal.formats.data_sheet import deltakins, genhexkins
 from pincal.formats.deployed import Deployed
+from pincal.kinematics.closure import joint_range
 from pincal.kinematics.configurations import joints_at
 
 BUNDLED = ["3RRR", "8cable", "delta", "5R", "6UPS", "3RPS", "3PUU", "3PRR", "3RPR", "4cable"]
@@ -161,17 +162,60 @@ def test_what_is_not_determined_has_no_standard_error(tmp_path: Path) -> None:
     assert "states no limit" in (tmp_path / "controller/commanding.md").read_text()
 
 
+def ways(robot: pincal.Mechanism, poses: np.ndarray, folder: Path) -> tuple[int, int]:
+    """Return how many poses an arm's files find without joints near by, and how many within limits.
+
+    Both files find the same joints, within 1e-9.
+    """
+    deployed, (leg,) = Deployed(robot), robot.legs
+    (inverse, _), (in_c99, _) = in_python(deployed), in_c(deployed, folder)
+    low, high = joint_range(leg)
+    reached = within = 0
+    for T in robot.platform.matrices(poses)[:, :3].reshape(-1, 12):
+        values, joints, solved = inverse(T, None, None)
+        if solved:
+            np.testing.assert_allclose(in_c99(T, None, None)[0], values, rtol=0.0, atol=1e-9)
+            q = np.array(joints[0])
+            reached += 1
+            within += bool(((low - 1e-9 <= q) & (q <= high + 1e-9)).all())
+    return reached, within
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
+@pytest.mark.parametrize("name", quick(1, ["ur5", "panda", "kinova"]))
+def test_an_arm_is_found_all_over_its_workspace(name: str, tmp_path: Path) -> None:
+    """Without joints near by: 99 of 100 poses at least, within limits too, by both files."""
+    robot = pincal.disturb(loaded(name), 1e-3, seed=1)
+    count = 40 if name == "ur5" else 200
+    reached, within = ways(robot, pincal.sample_configurations(robot, count, 3).poses, tmp_path)
+    assert reached >= 0.99 * count
+    assert within >= 0.99 * count
+
+
 @pytest.mark.slow
+def test_an_arm_that_bends_is_found_all_over_its_workspace(tmp_path: Path) -> None:
+    """With loads of gravity, which follow from the joints that are sought."""
+    _, robot = machine_of("ur5", "load")
+    reached, within = ways(robot, pincal.sample_configurations(robot, 200, 3).poses, tmp_path)
+    assert min(reached, within) >= 0.99 * 200
+
+
 def test_an_arm_says_which_poses_are_found_without_near(tmp_path: Path) -> None:
     """So many of 100 as the file itself finds; the pose of its example is one of them, to 1e-9."""
     robot = loaded("ur5")
     pincal.deploy(robot, tmp_path / "controller")
     page = (tmp_path / "controller/commanding.md").read_text()
-    found, tried = map(int, re.findall(r"(\d+) of (\d+) poses of the workspace are found", page)[0])
+    (numbers,) = re.findall(
+        r"(\d+) of (\d+) poses\s+of the workspace are found, (\d+) within", page
+    )
+    found, tried, within = map(int, numbers)
     file = runpy.run_path(str(tmp_path / "controller/kinematics.py"))
     poses = pincal.sample_workspace(robot, tried).tolist()
-    reached = [not file["inverse"](file["pose"](*pose)).reason for pose in poses]
-    assert sum(reached) == found < tried == 100
+    solutions = [file["inverse"](file["pose"](*pose)) for pose in poses]
+    reached = [solution.joints for solution in solutions if not solution.reason]
+    assert len(reached) == found >= 99
+    assert tried == 100
+    assert sum(not file["beyond_limits"](joints) for joints in reached) == within
     shown = re.findall(r"T = pose\((.*)\)  #", page)[0].split(", ")
     T = file["pose"](*map(float, shown))
     readings, _, reason = file["inverse"](T)

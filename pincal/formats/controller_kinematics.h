@@ -7,7 +7,7 @@
 
        double T[12], readings[MACHINE_READINGS], joints[MACHINE_JOINTS];
        machine_pose(machine_home, T);
-       int leg = machine_inverse(T, NULL, NULL, readings, joints);   0, or which leg is out of reach
+       int leg = machine_inverse(T, NULL, NULL, readings, joints);   0, or which leg was not found
        int lost = machine_forward(readings, NULL, NULL, NULL, T, joints);   0, or why no pose was found
 */
 #ifndef MACHINE_KINEMATICS_H
@@ -19,6 +19,7 @@
 /* SIZES */
 
 typedef const char *machine_text;
+typedef double machine_positions[MACHINE_MOST];
 typedef struct { int source; double rate; } machine_rate;
 typedef struct { int turns; double axis[3]; int n_rates; const machine_rate *rates; double behind[12]; } machine_move;
 typedef struct { double start[12]; int n_moves; const machine_move *moves; } machine_chain;
@@ -26,19 +27,18 @@ typedef struct { double amplitude; int place; double a, b; int exponent; } machi
 typedef struct { double slope, start; int n_terms; const machine_term *terms; } machine_sensor;
 typedef struct { int n_terms; const machine_term *terms; } machine_deformation;
 typedef struct { int n_rows; const int *rows; int loop; machine_chain tip, frame, point; } machine_end;
-typedef struct { int kind, plane; double centre[3], axes[3][3], delta, side, length, mode, radius, frame[3][3]; } machine_form;
 typedef struct {
     const char *name;
-    int n_joints, n_active, n_passive, n_unknown, n_sensors, n_deformations, n_ends, rows, arm;
+    int n_joints, n_active, n_passive, n_unknown, n_sensors, n_deformations, n_ends, n_starts, rows, arm;
     double size, mode;
     const machine_text *joints;
     const int *active, *passive, *unknown; /* unknown: active joints first */
+    const machine_positions *starts;
     int turns[MACHINE_MOST];
     double home[MACHINE_MOST], limits[MACHINE_MOST][2];
     const machine_sensor *sensors;
     const machine_deformation *deformations;
     const machine_end *ends;
-    machine_form form;
 } machine_leg;
 typedef struct { double mass; machine_chain chain; } machine_body;
 typedef struct { int place, source; } machine_load_column;
@@ -338,49 +338,6 @@ static inline double machine_mode(const machine_leg *leg, const double *T, const
     return machine_triangle(A, n, n, n);
 }
 
-static inline void machine_angles(const machine_form *form, const double *vector, const double *home, double *angles) {
-    double along[3];
-    for (int j = 0; j < 3; j++) along[j] = form->axes[0][j] * vector[0] + form->axes[1][j] * vector[1] + form->axes[2][j] * vector[2];
-    angles[0] = machine_near(atan2(-form->side * along[1], form->side * along[2]), home[0]);
-    if (!form->plane) angles[1] = machine_near(atan2(along[0], form->side * hypot(along[1], along[2])) - form->delta, home[1]);
-}
-
-/* joints of a leg of closed form that take its end to a target; whether it is in reach */
-static inline int machine_formed(const machine_leg *leg, const double *target, double *q) {
-    const machine_form *form = &leg->form;
-    double arm[3], local[3], rod[3], back[3];
-    for (int i = 0; i < 3; i++) arm[i] = target[i] - form->centre[i];
-    if (form->plane) arm[2] = 0.0;
-    if (form->kind == 1) {
-        double distance = sqrt(machine_dot(arm, arm));
-        for (int i = 0; i < 3; i++) back[i] = form->mode * arm[i];
-        machine_angles(form, back, leg->home, q);
-        q[form->plane ? 1 : 2] = form->mode * distance - form->length;
-        return distance > 0.0;
-    }
-    for (int j = 0; j < 3; j++) local[j] = form->frame[0][j] * arm[0] + form->frame[1][j] * arm[1] + form->frame[2][j] * arm[2];
-    int possible;
-    if (form->kind == 2) {
-        double square = form->length * form->length - local[0] * local[0] - local[2] * local[2];
-        possible = square >= 0.0;
-        q[0] = local[1] - form->mode * sqrt(fmax(square, 0.0));
-        rod[0] = local[0]; rod[1] = local[1] - q[0];
-    } else {
-        double far = hypot(local[0], local[1]), r = form->radius, l = form->length, safe = far > 0.0 ? far : 1.0;
-        double cosine = far > 0.0 ? (far * far + local[2] * local[2] + r * r - l * l) / (2.0 * r * far) : 0.0;
-        possible = fabs(cosine) <= 1.0;
-        cosine = fmax(-1.0, fmin(1.0, cosine));
-        double sine = form->mode * sqrt((1.0 - cosine) * (1.0 + cosine));
-        double c = (cosine * local[0] + sine * local[1]) / safe, s = (cosine * local[1] - sine * local[0]) / safe;
-        q[0] = machine_near(atan2(s, c), leg->home[0]);
-        rod[0] = far * cosine - r; rod[1] = far * sine;
-    }
-    rod[2] = local[2];
-    for (int i = 0; i < 3; i++) back[i] = machine_dot(form->frame[i], rod);
-    machine_angles(form, back, leg->home + 1, q + 1);
-    return possible;
-}
-
 static inline double machine_basis(const machine_term *term, double value, int slope) {
     if (!isfinite(value)) return 0.0;
     if (term->exponent == 0) return slope ? term->a * cos(term->a * value + term->b) : sin(term->a * value + term->b);
@@ -444,41 +401,24 @@ static inline void machine_know(const double *influences, const double *readings
     }
 }
 
-/* joints of a leg that follow a straight way from home to a pose */
-static inline void machine_follow(const machine_leg *leg, const double *T, double *values) {
-    double home[12], turn[12], vector[3], step[MACHINE_MOST];
-    machine_row A[MACHINE_TALL];
-    int n = leg->n_unknown;
-    machine_pose(machine_home, home);
-    machine_inverted(home, turn); machine_compose(T, turn, turn); machine_rotation_vector(turn, vector);
-    double size = sqrt(machine_dot(vector, vector));
-    for (int i = 0; i < 3; i++) vector[i] /= size > 0.0 ? size : 1.0;
-    for (int k = 1; k <= 10; k++) {
-        double share = k / 10.0, stage[12];
-        machine_turned(vector, share * size, stage); machine_compose(stage, home, stage);
-        for (int i = 3; i < 12; i += 4) stage[i] = home[i] + share * (T[i] - home[i]);
-        machine_closure(leg, stage, values, 0, A);
-        machine_step(leg, A, step);
-        double limited = fmin(1.0, 0.3 / fmax(machine_length(leg, 0, step), 0.3));
-        for (int j = 0; j < n; j++) values[leg->unknown[j]] += limited * step[j];
-    }
+/* how many joints of a leg are outside their limits */
+static inline int machine_outside(const machine_leg *leg, const double *joints) {
+    int count = 0;
+    for (int i = 0; i < leg->n_joints; i++) count += !(joints[i] >= leg->limits[i][0] - 1e-9 && joints[i] <= leg->limits[i][1] + 1e-9);
+    return count;
 }
 
-static inline int machine_close(const machine_leg *leg, const double *T, const double *near, double *values) {
-    int n = leg->n_unknown, possible = 1;
-    double step[MACHINE_MOST], point[12];
+/* joints of a leg by Newton's method from where they are; whether they close it in its mode */
+static inline int machine_solve(const machine_leg *leg, const double *T, const double *near, double *values) {
+    double step[MACHINE_MOST];
     machine_row A[MACHINE_TALL];
-    machine_copy(near ? near : leg->home, values, leg->n_joints);
-    if (!near && leg->form.kind) {
-        machine_along(&leg->ends[0].point, values, point, NULL); machine_compose(T, point, point);
-        possible = machine_formed(leg, (double[3]){point[3], point[7], point[11]}, values) || leg->n_deformations;
-    } else if (!near) machine_follow(leg, T, values);
     for (int k = 0; k < 40; k++) {
         machine_closure(leg, T, values, 0, A);
         machine_step(leg, A, step);
         double length = machine_length(leg, 0, step), share = fmin(1.0, 0.3 / fmax(length, 0.3));
-        for (int j = 0; j < n; j++) values[leg->unknown[j]] += share * step[j];
+        for (int j = 0; j < leg->n_unknown; j++) values[leg->unknown[j]] += share * step[j];
         if (!(length > 1e-10)) break;
+        for (int i = 0; !near && k < 20 && i < leg->n_joints; i++) values[i] = fmax(leg->limits[i][0], fmin(leg->limits[i][1], values[i]));
     }
     for (int i = 0; i < leg->n_joints; i++) {
         double low = leg->limits[i][0] - 1e-9, high = leg->limits[i][1] + 1e-9, full = 2.0 * acos(-1.0);
@@ -488,7 +428,37 @@ static inline int machine_close(const machine_leg *leg, const double *T, const d
         double back = low + (values[i] - low) - full * floor((values[i] - low) / full);
         if (back <= high) values[i] = back;
     }
-    return possible && machine_closure(leg, T, values, 0, A) <= 1e-10 * leg->size && machine_mode(leg, T, values) == leg->mode;
+    return machine_closure(leg, T, values, 0, A) <= 1e-10 * leg->size && machine_mode(leg, T, values) == leg->mode;
+}
+
+/* which start is nearest to a pose of those that were not tried */
+static inline int machine_nearest(const double *T, const int *tried) {
+    int nearest = 0;
+    double least = INFINITY;
+    for (int s = 0; s < MACHINE_STARTS; s++) {
+        double apart = 0.0; /* |R - R'|^2 is twice the squared angle */
+        for (int i = 0; i < 12; i++) apart += (i % 4 == 3 ? 1.0 : 0.5 * machine_size * machine_size) * (T[i] - machine_starts[s][i]) * (T[i] - machine_starts[s][i]);
+        if (!tried[s] && apart < least) { least = apart; nearest = s; }
+    }
+    return nearest;
+}
+
+/* joints of a leg near given ones, or from starts, the nearest first: the first within limits that
+   close it, if there are none the first at all */
+static inline int machine_close(const machine_leg *leg, const double *T, const double *near, double *values) {
+    int tried[MACHINE_STARTS] = {0}, best = 0;
+    double beyond[MACHINE_MOST];
+    if (near) { machine_copy(near, values, leg->n_joints); return machine_solve(leg, T, near, values); }
+    for (int k = 0; k < MACHINE_STARTS; k++) {
+        int start = machine_nearest(T, tried);
+        tried[start] = 1;
+        machine_copy(leg->starts[start], values, leg->n_joints);
+        int closed = machine_solve(leg, T, NULL, values);
+        if (closed && !machine_outside(leg, values)) return 1;
+        if (closed && !best) { best = 1; machine_copy(values, beyond, leg->n_joints); }
+    }
+    machine_copy(best ? beyond : leg->home, values, leg->n_joints);
+    return best;
 }
 
 static inline int machine_inverse_at(const double *T, const double *known, const double *near, double *readings, double *joints) {
@@ -510,13 +480,14 @@ static inline int machine_inverse_at(const double *T, const double *known, const
 /* readings and joints of a pose, near given joints or in the working modes of home: 0, or a leg that
    does not reach, counted from 1 */
 static inline int machine_inverse(const double *T, const double *influences, const double *near, double *readings, double *joints) {
-    double known[MACHINE_INFLUENCES + 1], before[MACHINE_READINGS];
+    double known[MACHINE_INFLUENCES + 1], before[MACHINE_READINGS], last[MACHINE_JOINTS];
     for (int i = 0; i <= MACHINE_INFLUENCES; i++) known[i] = influences && i < MACHINE_INFLUENCES ? influences[i] : NAN;
     int lost = machine_inverse_at(T, known, near, readings, joints);
     for (int k = 0; machine_load.n_bodies && k < 20; k++) {
         double change = 0.0;
         machine_copy(readings, before, MACHINE_READINGS);
         machine_know(influences, readings, known);
+        if (!lost && !near) { machine_copy(joints, last, MACHINE_JOINTS); near = last; }
         lost = machine_inverse_at(T, known, near, readings, joints);
         for (int i = 0; i < MACHINE_READINGS; i++) change = fmax(change, fabs(readings[i] - before[i]));
         if (change <= 1e-10) break;
@@ -530,17 +501,13 @@ static inline int machine_forward_at(const double *readings, const double *known
     int row = 0, start = 0, count = 0;
     for (int l = 0; l < MACHINE_LEGS; start += machine_legs[l++].n_joints) {
         const machine_leg *leg = machine_legs + l;
-        double place[12], q[MACHINE_MOST];
+        double place[12];
         machine_copy(joints + start, values[l], leg->n_joints);
         for (int j = 0; j < leg->n_active; j++, row++) values[l][leg->unknown[j]] = machine_position(leg->sensors + j, readings[row], known);
         machine_bend(leg, known, values[l] + leg->n_joints);
-        machine_along(&leg->ends[0].point, values[l], place, NULL);
         if (leg->arm) {
-            machine_inverted(place, place); machine_along(&leg->ends[0].tip, values[l], T, NULL); machine_compose(T, place, T);
-        } else if (leg->form.kind) {
-            machine_compose(T, place, place);
-            machine_formed(leg, (double[3]){place[3], place[7], place[11]}, q);
-            for (int j = leg->n_active; j < leg->n_unknown; j++) values[l][leg->unknown[j]] = q[leg->unknown[j]];
+            machine_along(&leg->ends[0].point, values[l], place, NULL); machine_inverted(place, place);
+            machine_along(&leg->ends[0].tip, values[l], T, NULL); machine_compose(T, place, T);
         }
     }
     for (int k = 0; k < 40; k++) {
@@ -614,9 +581,7 @@ static inline int machine_forward(const double *readings, const double *influenc
 /* how many joints are outside their limits */
 static inline int machine_beyond_limits(const double *joints) {
     int count = 0;
-    for (int l = 0; l < MACHINE_LEGS; joints += machine_legs[l++].n_joints)
-        for (int i = 0; i < machine_legs[l].n_joints; i++)
-            count += joints[i] < machine_legs[l].limits[i][0] - 1e-9 || joints[i] > machine_legs[l].limits[i][1] + 1e-9;
+    for (int l = 0; l < MACHINE_LEGS; joints += machine_legs[l++].n_joints) count += machine_outside(machine_legs + l, joints);
     return count;
 }
 

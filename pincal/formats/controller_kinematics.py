@@ -20,7 +20,8 @@ MACHINE: dict[str, Any] = {}
 Row = list[float]
 Matrix = list[Row]
 STEPS = 40  # of Newton's method
-WAY = 10  # steps on the way from home
+WITHIN = 20  # of these that stay within limits, without joints near by
+WAY = 10  # steps of readings on the way from home
 LARGEST = 0.3  # step of a joint, [rad] or of the leg's size
 SMALL = 1e-10  # step after which the next error is rounding
 CLOSED = 1e-10  # gap, of a leg's size, of what is closed
@@ -97,13 +98,15 @@ def corrected(T: Row) -> Row:
 
 
 def inverse(T: Row, influences: Row | None = None, near: Matrix | None = None) -> Solution:
-    """Return the readings of a pose, in the working modes of home; of arms near given joints."""
+    """Return the readings of a pose, in the working modes of home.
+
+    Near given joints; without them those of an arm are within limits if they can be.
+    """
     known = influences or [nan] * len(MACHINE["influences"])
     solution = _inverse(T, known, near)
-    for _ in range(
-        20 * bool(MACHINE["load"]["bodies"])
-    ):  # loads follow from readings, and bend little
+    for _ in range(20 * bool(MACHINE["load"]["bodies"])):  # loads follow readings, and bend little
         before = solution
+        near = near if before.reason else before.joints
         solution = _inverse(T, _with_loads(known, before.values), near)
         if all(abs(a - b) <= SMALL for a, b in zip(solution.values, before.values, strict=True)):
             break
@@ -135,12 +138,14 @@ def forward(
 
 def beyond_limits(joints: Matrix) -> list[str]:
     """Return the names of joints that are outside their limits."""
-    return [
-        f"{leg['name']} {name}"
-        for leg, positions in zip(MACHINE["legs"], joints, strict=True)
-        for name, q, (low, high) in zip(leg["joints"], positions, leg["limits"], strict=True)
-        if not low - 1e-9 <= q <= high + 1e-9
-    ]
+    pairs = zip(MACHINE["legs"], joints, strict=True)
+    return [f"{leg['name']} {leg['joints'][i]}" for leg, q in pairs for i in _outside(leg, q)]
+
+
+def _outside(leg: dict[str, Any], q: Row) -> list[int]:
+    """Return which joints of a leg are outside their limits."""
+    pairs = enumerate(zip(q, leg["limits"], strict=True))
+    return [i for i, (value, (low, high)) in pairs if not low - 1e-9 <= value <= high + 1e-9]
 
 
 def _inverse(T: Row, known: Row, near: Matrix | None) -> Solution:
@@ -156,36 +161,46 @@ def _inverse(T: Row, known: Row, near: Matrix | None) -> Solution:
             readings.append(value)
             reached = reached and settled
         if not reached and not reason:
-            sought = leg["form"]["kind"] and not near  # no formula: by steps, which may miss
-            reason = f"{'out of reach of' if sought else 'not found by steps:'} {leg['name']}"
-            reason += " in its working mode"
+            reason = f"no joints of {leg['name']} found that reach it in its working mode"
     return Solution(readings, joints, reason)
 
 
 def _close(leg: dict[str, Any], T: Row, bent: Row, near: Row | None) -> tuple[Row, bool]:
-    """Return joints that close a leg at a pose, and whether they do, in its working mode."""
-    q, possible = list(leg["home"] if near is None else near), True
-    if near is None and leg["form"]["kind"]:
-        q, possible = _formed(leg, T, bent)
-        possible = possible or bool(bent)
-    elif near is None:  # along a straight way from home
-        home = pose(*MACHINE["home"])
-        turn = rotation_vector(compose(T, inverted(home)))
-        size = sqrt(_dot(turn, turn))
-        axis = [component / (size or 1.0) for component in turn]
-        for step in range(1, WAY + 1):
-            share = step / WAY
-            stage = compose(turned(axis, share * size), home)
-            for i in (3, 7, 11):
-                stage[i] = home[i] + share * (T[i] - home[i])
-            _step_joints(leg, stage, q, bent)
-    for _ in range(STEPS):
+    """Return joints that close a leg at a pose, and whether they do, in its working mode.
+
+    Near given joints; else from the starts, the nearest first: the first joints within limits
+    that close it, if there are none the first at all.
+    """
+    if near is not None:
+        return _solve(leg, T, near, bent, near)
+    beyond = list(leg["home"]), False
+    for _, start in sorted((_apart(T, S), i) for i, S in enumerate(MACHINE["starts"])):
+        q, closed = _solve(leg, T, leg["starts"][start], bent)
+        if closed and not _outside(leg, q):
+            return q, True
+        beyond = (q, True) if closed and not beyond[1] else beyond
+    return beyond
+
+
+def _apart(T: Row, S: Row) -> float:
+    """Return the squared distance of poses, turns as [m] of the machine's size."""
+    weights = [0.5 * MACHINE["size"] ** 2] * 3 + [1.0]  # |R − R'|² is twice the squared angle
+    return sum(weights[i % 4] * (a - b) ** 2 for i, (a, b) in enumerate(zip(T, S, strict=True)))
+
+
+def _solve(
+    leg: dict[str, Any], T: Row, start: Row, bent: Row, near: Row | None = None
+) -> tuple[Row, bool]:
+    """Return joints that close a leg by Newton's method, and whether they do in its mode."""
+    q = list(start)
+    for k in range(STEPS):
         if not _step_joints(leg, T, q, bent) > SMALL:
             break
+        if near is None and k < WITHIN:
+            q = [max(low, min(high, a)) for a, (low, high) in zip(q, leg["limits"], strict=True)]
     _turn_back(leg, q, leg["home"] if near is None else near, near is None)
     c, J, _ = _closure(leg, T, q, bent)
-    closed = possible and max(map(abs, c)) <= CLOSED * leg["size"]
-    return q, closed and _mode(leg, J) == leg["mode"]
+    return q, max(map(abs, c)) <= CLOSED * leg["size"] and _mode(leg, J) == leg["mode"]
 
 
 def _step_joints(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> float:
@@ -232,10 +247,6 @@ def _begun(readings: Row, known: Row, T: Row, joints: Matrix, bents: Matrix) -> 
                 _chain(leg["ends"][0][end], [*q, *bents[-1]])[0] for end in ("tip", "point")
             )
             T = compose(tip, inverted(point))
-        elif leg["form"]["kind"]:
-            start = _formed(leg, T, bents[-1])[0]
-            for place in leg["passive"]:
-                q[place] = start[place]
     return T
 
 
@@ -348,45 +359,6 @@ def _twist(move: Move, place: Row) -> tuple[Row, Row]:
     if not move.turns:
         return move.axis, [0.0, 0.0, 0.0]
     return _cross(move.axis, [a - b for a, b in zip(place, move.point, strict=True)]), move.axis
-
-
-def _formed(leg: dict[str, Any], T: Row, bent: Row) -> tuple[Row, bool]:
-    """Return the joints of a leg of closed form, and whether it reaches a pose."""
-    form, met = leg["form"], compose(T, _chain(leg["ends"][0]["point"], [*leg["home"], *bent])[0])
-    arm = [a - b for a, b in zip((met[3], met[7], met[11]), form["centre"], strict=True)]
-    if form["plane"]:
-        arm[2] = 0.0
-    if form["kind"] == 1:
-        distance = sqrt(_dot(arm, arm))
-        way = [form["mode"] * component for component in arm]
-        slide = form["mode"] * distance - form["length"]
-        return [*_angles(form, way, leg["home"]), slide], distance > 0.0
-    frame, radius, length = form["frame"], form["radius"], form["length"]
-    radial, way_along, height = (_dot(column, arm) for column in zip(*frame, strict=True))
-    if form["kind"] == 2:
-        square = length**2 - radial**2 - height**2
-        drive = way_along - form["mode"] * sqrt(max(square, 0.0))
-        rod, possible = [radial, way_along - drive, height], square >= 0.0
-        return [drive, *_angles(form, [_dot(row, rod) for row in frame], leg["home"][1:])], possible
-    far = hypot(radial, way_along)
-    cosine = (far**2 + height**2 + radius**2 - length**2) / (2.0 * radius * far) if far else 0.0
-    possible, cosine = abs(cosine) <= 1.0, max(-1.0, min(1.0, cosine))
-    sine = form["mode"] * sqrt((1.0 - cosine) * (1.0 + cosine))
-    c = (cosine * radial + sine * way_along) / (far or 1.0)
-    s = (cosine * way_along - sine * radial) / (far or 1.0)
-    drive = _near(atan2(s, c), leg["home"][0])
-    rod = [far * cosine - radius, far * sine, height]
-    return [drive, *_angles(form, [_dot(row, rod) for row in frame], leg["home"][1:])], possible
-
-
-def _angles(form: dict[str, Any], vector: Row, home: Row) -> Row:
-    """Return the angles of a joint that points along a vector."""
-    e1, e2, e3 = zip(*form["axes"], strict=True)
-    across, height = form["side"] * _dot(vector, e2), form["side"] * _dot(vector, e3)
-    angles = [atan2(-across, height)]
-    if not form["plane"]:
-        angles.append(atan2(_dot(vector, e1), form["side"] * hypot(across, height)) - form["delta"])
-    return [_near(angle, start) for angle, start in zip(angles, home, strict=False)]
 
 
 def _position(sensor: dict[str, Any], reading: float, known: Row) -> float:

@@ -19,17 +19,19 @@ from textwrap import fill
 from typing import Any, cast
 
 import numpy as np
+from scipy.stats.qmc import Halton
 
 from pincal import __version__
 from pincal.errors import MechanismError
 from pincal.formats.corrections import CorrectionGrid
 from pincal.kinematics.chain import elementary_joints, leaders
-from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import home_mode, sensor_law
 from pincal.kinematics.closure import LegClosure, nominal_legs
-from pincal.kinematics.forward import reading_range
+from pincal.kinematics.configurations import joints_at
+from pincal.kinematics.forward import forward, reading_range
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.sensor import PlacedTerm, SensorLaw
 from pincal.model.terms import LOAD, Harmonic, Load, Power
@@ -39,6 +41,8 @@ Table = dict[str, Any]
 _AXES = dict(zip("xyz", np.eye(3), strict=True))
 _NO_SHIFT = np.eye(4)
 _DIGITS = 9  # of twists on a grid, [m] and [rad]
+_STARTS, _DRAWN = 32, 256  # configurations to seek joints from, of so many readings at most
+_START_DIGITS = 4  # of these, [m] and [rad]
 _LEFT = "left"  # begins a reason: closed, and in another mode
 _TEMPLATE = Path(__file__).with_name("controller_kinematics.py")
 _PLACE = "MACHINE: dict[str, Any] = {}\n"
@@ -54,6 +58,7 @@ _DECLARED = {
     "turns": "double machine_turn_axes[][3]",
     "load": "machine_gravity machine_load",
     "grid": "machine_corrections machine_grid",
+    "starts": "double machine_starts[][12]",
     "legs": "machine_leg machine_legs[]",
 }
 """How tables of a machine are declared in C."""
@@ -96,6 +101,7 @@ class Deployed:
         kinematics: Any = module_from_spec(spec)
         spec.loader.exec_module(kinematics)
         machine, platform, grid = self.mechanism, self.mechanism.platform, self.grid
+        starts, joints = _starts(machine)
         tables = kinematics.MACHINE = {
             "name": machine.name,
             "readings": list(machine.reading_names),
@@ -112,7 +118,11 @@ class Deployed:
             "frame": _rows(self.frame),
             "tool": _rows(self.tool),
             "load": _load(machine),
-            "legs": [_leg(machine, closure) for closure in nominal_legs(machine)],
+            "starts": [_rows(T) for T in platform.matrices(starts)],
+            "legs": [
+                _leg(machine, closure, joints[closure.leg.name])
+                for closure in nominal_legs(machine)
+            ],
         }
         if grid is not None:
             twists = grid.twists.round(_DIGITS).ravel().tolist()
@@ -155,6 +165,7 @@ def c_header(deployed: Deployed, prefix: str) -> str:
         "REDUCED": max(reduced, 1),
         "MOVES": max(1, *(len(chain["moves"]) for chain in chains)),
         "LOAD_WIDTH": load["width"],
+        "STARTS": len(tables["starts"]),
         **({"GRID": tables["grid"]["count"]} if "grid" in tables else {}),
     }
     defined = "\n".join(f"#define MACHINE_{name} {size}" for name, size in sizes.items())
@@ -191,7 +202,24 @@ def _c(value: Any) -> str:
     return f"{{{', '.join(map(_c, value)) or 0}}}"
 
 
-def _leg(machine: Mechanism, closure: LegClosure) -> Table:
+def _starts(machine: Mechanism) -> tuple[Array, dict[str, Array]]:
+    """Return poses from which joints are sought, shape (N, dof), and each leg's joints there.
+
+    Home, and where readings lead that are spread evenly between limits of the active joints.
+    """
+    (low, high, _), legs = reading_range(machine), machine.legs
+    readings = low + (high - low) * Halton(len(low), seed=0).random(_DRAWN)
+    solution = forward(machine, readings)
+    drawn, known = solution.poses[solution.converged], readings[solution.converged]
+    solved = joints_at(machine, Plan(drawn, readings=known))
+    count = _STARTS if any(leg.is_arm for leg in legs) else _STARTS // 4  # in one working mode
+    rows = np.flatnonzero(solved.reached.all(axis=1))[:count]
+    rounded = {name: q[rows].round(_START_DIGITS) for name, q in solved.joints.items()}
+    joints = {leg.name: np.vstack((leg.home, rounded[leg.name])) for leg in legs}
+    return np.vstack((machine.platform.home, drawn[rows].round(_START_DIGITS))), joints
+
+
+def _leg(machine: Mechanism, closure: LegClosure, starts: Array) -> Table:
     leg, law = closure.leg, sensor_law(closure)
     sources = {name: len(leg.moving) + place for place, name in enumerate(leg.deformed)}
     deformations: list[Table] = [{"terms": Several("machine_term", ())} for _ in leg.deformed]
@@ -214,6 +242,7 @@ def _leg(machine: Mechanism, closure: LegClosure) -> Table:
         "turns": [joint.turns for joint in leg.moving],
         "limits": limits,
         "home": leg.home.tolist(),
+        "starts": Several("machine_positions", starts.tolist()),
         "active": Several("int", leg.active),
         "passive": Several("int", leg.passive),
         "unknown": Several("int", [*leg.active, *leg.passive]),
@@ -223,7 +252,6 @@ def _leg(machine: Mechanism, closure: LegClosure) -> Table:
         "mode": home_mode(leg, machine.platform),
         "sensors": _sensors(machine, leg, law),
         "deformations": Several("machine_deformation", deformations),
-        "form": _form(closure),
         "ends": Several("machine_end", ends),
     }
 
@@ -303,25 +331,6 @@ def _term(machine: Mechanism, leg: Leg, placed: PlacedTerm, known: int) -> tuple
     else:
         form = (float(basis.per), float(basis.reference), 1)  # type: ignore[attr-defined]
     return float(placed.amplitude), place, *form
-
-
-def _form(closure: LegClosure) -> Table:
-    """Return a closed form: of kind 1 a strut, 2 a rod on a carriage, 3 on a crank, 0 if none."""
-    form = closed_form(closure)
-    if form is None:
-        return {"kind": 0}
-    return {
-        "kind": 1 if form.frame is None else 3 if form.radius else 2,
-        "plane": closure.platform.space == 2,
-        "centre": form.centre.tolist(),
-        "axes": form.axes.tolist(),
-        "delta": form.delta,
-        "side": form.side,
-        "length": form.length,
-        "mode": form.mode,
-        "radius": form.radius,
-        "frame": np.zeros((3, 3)).tolist() if form.frame is None else form.frame.tolist(),
-    }
 
 
 def _load(machine: Mechanism) -> Table:

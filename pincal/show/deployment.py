@@ -47,13 +47,18 @@ grid: poses, and what to command there; it is linear between. Poses that were no
 then missed by {}; without it by {}.
 """
 _log = logging.getLogger(__name__)
-_NEAR = "Give `near`, joints of the last call, where the machine may bend in several ways."
+_NEAR = (
+    "Give `near`, joints of the last call: that is faster, and says which way is meant where the "
+    "machine may bend in several."
+)
 _ARM = (
     "An arm reaches a pose in several ways: `near`, joints of the last call, say which; begin with "
-    "those of `forward`, at the readings where it stands. Without them the way is sought from "
-    "home: so {} of {} poses of the workspace are found."
+    "those of `forward`, at the readings where it stands. Without them it is sought from {} "
+    "configurations, the nearest first, until joints are within their limits: so {} of {} poses "
+    "of the workspace are found, {} within limits. Poses side by side may then be reached in "
+    "different ways."
 )
-_TRIED = 100  # poses of an arm that are sought from home
+_TRIED = 100  # poses of an arm that are sought
 
 
 @dataclass(frozen=True)
@@ -212,8 +217,10 @@ def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str
     reached = [not solution.reason for solution in solutions]
     shown, near = int(np.argmax(reached)), _NEAR  # home, if it is reached
     if len(tried):
-        near = _ARM.format(sum(reached[1:]), len(tried))
-        _log.info("without near, %d of %d poses are found", sum(reached[1:]), len(tried))
+        counted = [s.joints for s in solutions[1:] if not s.reason]
+        within = sum(not kinematics.beyond_limits(joints) for joints in counted)
+        starts = len(deployed.tables["starts"])
+        near = _ARM.format(starts, len(counted), len(tried), within)
     names, counts = mechanism.reading_names, mechanism.counts
     units = zip(names, mechanism.reading_units, strict=True)
     pairs = zip(names, solutions[shown].values, strict=True)
