@@ -125,13 +125,13 @@ def prepared(
 
 
 @one_thread()
-def run(
-    asked: Calibration, folds: int | None = None, by: By = "region", near: Fits | None = None
-) -> tuple[CalibrationResult, Fits, list[str]]:
-    """Return the result of a calibration, its fits, and why no rows were held out if some were to.
+def identified(
+    asked: Calibration, near: Fits | None = None
+) -> tuple[CalibrationResult, Fits, Fits]:
+    """Return the result of a calibration without findings; its fits, and those of sure tolerances.
 
-    Folds and ``by`` are those of ``CalibrationResult.validated``, 0 or None for none; errors those
-    of ``calibrate``. Near are fits whose residuals say that the model lacks something.
+    Near are fits whose residuals say that the model lacks something; errors are those of
+    ``calibrate``.
     """
     calibration = replace(near.calibration, lacks=True) if near else started(asked)
     try:
@@ -139,13 +139,25 @@ def run(
         sure_fits = with_unsure_tolerances(fits)
     except (PincalError, np.linalg.LinAlgError) as error:
         raise explained_error(calibration, error) from error
-    result = assemble(sure_fits)
+    return assemble(sure_fits), fits, sure_fits
+
+
+@one_thread()
+def run(
+    asked: Calibration, folds: int | None = None, by: By = "region", near: Fits | None = None
+) -> tuple[CalibrationResult, Fits, list[str]]:
+    """Return the result of a calibration, its fits, and why no rows were held out if some were to.
+
+    Folds and ``by`` are those of ``CalibrationResult.validated``, 0 or None for none; errors those
+    of ``calibrate``. Near are those of ``identified``.
+    """
+    result, fits, sure_fits = identified(asked, near)
     findings = (*explain_result(result, fits.external), *findings_of(result, sure_fits))
-    findings = (*findings, *points_left_out(asked.measurements, calibration.measurements))
+    findings = (*findings, *points_left_out(asked.measurements, result.measurements))
     lacks = near is None and "model-lacks" in {remark.code for remark in findings}
     if lacks and tie_of(fits.fits[0], fits.noise, lacks=True):
         return run(asked, folds, by, fits)
-    terms = sorted(calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
+    terms = sorted(fits.calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
     if AUTO in asked.options.terms and terms:
         findings = (*findings, finding("terms-chosen", parameters=terms))
     outliers = result.outliers

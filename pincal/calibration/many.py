@@ -21,7 +21,8 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from numpy.random import Generator
 
 from pincal.attached import attached
-from pincal.calibration.calibrate import calibrate
+from pincal.blas import one_thread
+from pincal.calibration.calibrate import identified, prepared
 from pincal.calibration.options import Options, Progress
 from pincal.calibration.promise import apart
 from pincal.design.platform_error import root_mean_squares, sizes
@@ -150,6 +151,7 @@ def _without_rows(make_row: Callable[..., Row], items: Sequence[Item], file: Row
     return [item for item in items if item not in places]
 
 
+@one_thread()
 def _rows_of(make_row: Callable[..., Row], keys: Sequence[str], items: Sequence[Item]) -> list[Row]:
     """Return the rows of items, or why they have none."""
     rows = []
@@ -230,7 +232,7 @@ class MonteCarlo:
             columns = zip(platform.coordinates, platform.units, strict=True)
             reads = [turned if unit == "rad" else name in self.measured for name, unit in columns]
             data = replace(data, poses=np.where(reads, data.poses, np.nan))
-        result = calibrate(nominal, data, self.options)
+        result = identified(prepared(nominal, data, self.options))[0]  # findings are in no row
         if not result.converged:
             raise MeasurementError(result.message)
         row: Row = {"poses": len(data), "chi2": result.reduced_chi2}

@@ -206,24 +206,27 @@ def _with_grid(
     return replace(deployed, grid=grid), (after, before)
 
 
+def _example(deployed: Deployed) -> tuple[list[float], list[float], str]:
+    """Return a pose that is found, home if it is, its readings, and what to say of ``near``."""
+    kinematics, poses, near = deployed.kinematics, [[*deployed.mechanism.platform.home]], _NEAR
+    if any(leg.is_arm for leg in deployed.mechanism.legs):
+        poses += sample_workspace(deployed.mechanism, _TRIED).tolist()
+    solutions = [kinematics.inverse(kinematics.pose(*pose)) for pose in poses]
+    reached = [place for place, solution in enumerate(solutions) if not solution.reason]
+    if tried := len(poses) - 1:
+        ways = [solutions[place].joints for place in reached if place]
+        within = sum(not kinematics.beyond_limits(joints) for joints in ways)
+        near = _ARM.format(len(deployed.tables["starts"]), len(ways), tried, within)
+    return poses[reached[0]], solutions[reached[0]].values, near
+
+
 def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str:
     """Return the page that says how to command the machine."""
-    mechanism, platform = deployed.mechanism, deployed.mechanism.platform
-    kinematics, tried = deployed.kinematics, np.empty((0, platform.dof))
-    if any(leg.is_arm for leg in mechanism.legs):
-        tried = sample_workspace(mechanism, _TRIED)
-    poses = np.vstack((platform.home, tried))
-    solutions = [kinematics.inverse(kinematics.pose(*pose)) for pose in poses.tolist()]
-    reached = [not solution.reason for solution in solutions]
-    shown, near = int(np.argmax(reached)), _NEAR  # home, if it is reached
-    if len(tried):
-        counted = [s.joints for s in solutions[1:] if not s.reason]
-        within = sum(not kinematics.beyond_limits(joints) for joints in counted)
-        starts = len(deployed.tables["starts"])
-        near = _ARM.format(starts, len(counted), len(tried), within)
+    mechanism = deployed.mechanism
+    shown, values, near = _example(deployed)
     names, counts = mechanism.reading_names, mechanism.counts
     units = zip(names, mechanism.reading_units, strict=True)
-    pairs = zip(names, solutions[shown].values, strict=True)
+    pairs = zip(names, values, strict=True)
     frames = "Poses are T_base_platform, in the frame that the machine was measured in."
     if not (np.allclose(deployed.frame, np.eye(4)) and np.allclose(deployed.tool, np.eye(4))):
         frames = (
@@ -246,8 +249,8 @@ def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str
         PREFIX_READINGS=f"{prefix.upper()}_READINGS",
         PREFIX_JOINTS=f"{prefix.upper()}_JOINTS",
         further="| `linuxcnc.hal` | HAL lines for LinuxCNC's own kinematics |\n" * linuxcnc,
-        home=", ".join(map(repr, poses[shown].tolist())),
-        coordinates=", ".join(platform.coordinates),
+        home=", ".join(map(repr, shown)),
+        coordinates=", ".join(mechanism.platform.coordinates),
         readings=", ".join(f"{n} = {v:.9g}" for n, v in pairs),
         near=near,
         units="\n".join(f"| {n} | {unit} | {counts.get(n) or '–'} |" for n, unit in units),
