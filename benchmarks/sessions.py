@@ -72,7 +72,8 @@ def held(
         accuracy=kind.accuracy,
     )
     session = Session(folder, kind.mechanism, bench.plan, options)
-    counts = dict.fromkeys(("slips", "caught", "sound", "alarms"), 0)
+    counts = dict.fromkeys(("slips", "caught", "later", "sound", "alarms", "blamed"), 0)
+    slipped, trusted = set[int](), set[int]()
     while not session.enough and len(session.measured) < len(bench.plan):
         row = len(session.measured) if in_order else session.next_pose()[0]
         cells = bench.entry(session.columns, row)
@@ -80,16 +81,31 @@ def held(
         if not in_order and determined and rng.random() < 1.0 / EVERY:
             head = str(rng.choice(session.observed))
             sigma = 0.02 if "mm" in head else float(np.degrees(2e-5))
-            slipped = float(cells[head]) + SLIP * sigma * (1 if rng.random() < 0.5 else -1)
-            checked = session.add({**cells, head: repr(slipped)}, row)
+            wrong = float(cells[head]) + SLIP * sigma * (1 if rng.random() < 0.5 else -1)
             counts["slips"] += 1
-            counts["caught"] += checked.off
-            session.undo()
-        checked = session.add(cells, row)
-        counts["sound"] += checked.sigma is not None
-        counts["alarms"] += checked.off
-        if checked.off:
-            session.keep()
+            if session.add({**cells, head: repr(wrong)}, row).off:
+                counts["caught"] += 1
+                session.undo()
+            else:
+                slipped.add(row)
+        if row not in slipped:
+            checked = session.add(cells, row)
+            counts["sound"] += checked.sigma is not None
+            if checked.off:  # measured again, it is as before
+                counts["blamed" if slipped else "alarms"] += 1
+                session.keep()
+        while session.doubtful and session.measured[session.doubtful[0]] not in trusted:
+            doubted = session.measured[session.doubtful[0]]
+            if doubted in slipped:
+                slipped.remove(doubted)
+                counts["later"] += 1
+            else:
+                trusted.add(doubted)
+                counts["blamed" if slipped else "alarms"] += 1
+            session.undo(session.doubtful[0])
+            session.add(bench.entry(session.columns, doubted), doubted)
+            if session.questioned:
+                session.keep()
     session.journal.close()
     result = pincal.calibrate(
         kind.mechanism, session.journal.path, noise=NOISE, setup=session.options.setup
@@ -106,6 +122,7 @@ def held(
         "enough": session.enough,
         "kept": bool(true <= kind.accuracy),
         "within": bool(true <= limit),
+        "missed": len(slipped),
         "true": true,
         "share": session.share,
     }
@@ -146,9 +163,11 @@ def write(
         "poses": float(np.median([one["poses"] for one in sessions])),
         "poses of a fixed plan": float(np.median([one["poses"] for one in fixed])),
         "slips": total["slips"],
-        "caught": total["caught"],
+        "caught on entry": total["caught"],
+        "caught later": total["later"],
         "sound rows": total["sound"],
         "false alarms": total["alarms"],
+        "blamed for others' slips": total["blamed"],
     }
     rows = {name: row}
     if TABLE.is_file():

@@ -148,7 +148,10 @@ def test_mistake_is_named_on_entry(begun: Session, mistake: Any, words: str) -> 
 
 
 def test_slip_of_ten_sigma_is_off_and_can_be_kept(begun: Session) -> None:
-    """0.2 mm of noise of 20 µm is off in each coordinate; kept, it takes part and is doubted."""
+    """0.2 mm of noise of 20 µm is off in each coordinate; kept, it takes part and is doubted.
+
+    By as many σ, which then follow from a fit with the row, not from a prediction without it.
+    """
     row, _ = begun.next_pose()
     for head in ("x [mm]", "y [mm]"):
         cells = bench().entry(begun.columns, row)
@@ -160,6 +163,7 @@ def test_slip_of_ten_sigma_is_off_and_can_be_kept(begun: Session) -> None:
         begun.keep()
         assert begun.doubtful is not None
         assert begun.doubtful[0] == checked.row
+        assert begun.doubtful[1] == pytest.approx(checked.sigma, rel=0.02)
         begun.undo()
     assert begun.doubtful is None
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtri
 
 from pincal.blas import one_thread
 from pincal.calibration.assemble import assemble
@@ -35,7 +35,6 @@ from pincal.design.platform_error import PlatformError
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.problem import Linear
-from pincal.estimation.robust import as_one
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.unknowns import State
 from pincal.files.columns import sheet_columns
@@ -49,18 +48,19 @@ from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.option import option
-from pincal.types import Array
+from pincal.types import Array, Index
 from pincal.words.findings import finding
 from pincal.words.numbers import SI, Units
 
 PLANNED = "planned_"
 """What heads columns of the sheet that say what to drive to."""
-FALSE_ALARM = 1e-3
-"""Probability that a sound row is called off."""
+FALSE_ALARM = 3e-3
+"""Probability that a sound row is called off, by each of two tests."""
 ENOUGH = 0.95
 """Share of the workspace that the measured region, of which errors are stated, should hold."""
 _LARGEST = 3.0  # standard deviations that the largest changes of machines are
 _CAUSES = 3  # that are named, at most
+_SEEN = 1e-6  # share of a slip's square that a residual shows, at least
 _NEARLY = 1e-4  # of a row's χ²: what is left where a number was rounded as it was typed
 
 
@@ -301,16 +301,19 @@ class Session:
         if self._fits is None and len(calibration.observation.external):
             return Checked(row, None)
         r, S, linear = self._predicted(calibration, [AS_MEASURED])
-        square, equations = float(_squares(r, S)[0]), max(int(linear.equations[0]), 1)
-        sigma = as_one(square, equations)
-        if chdtrc(equations, square) >= FALSE_ALARM:
-            return Checked(row, sigma)
+        square, sigma, chance, worst, left = (
+            array[0] for array in _judged(r, S, linear, slice(None))
+        )
+        if chance >= FALSE_ALARM:
+            return Checked(row, float(sigma))
         tried = list(faults_of_a_row(Case(calibration, np.array([row]))))
         squares = _squares(*self._predicted(calibration, tried)[:2])
+        equations = max(int(linear.equations[0]), 1)
         nearly = _NEARLY * square if np.isfinite(square) else 0.0
         fits = (chdtrc(equations, squares) >= FALSE_ALARM) | (squares <= nearly)
         likely = [tried[place] for place in np.argsort(squares) if fits[place]][:_CAUSES]
-        quantity, left = _slipped(r[0], S[0], linear)
+        quantities = tuple(linear.problem.quantities)
+        quantity = linear.problem.observation.named(quantities[worst], 0)
         if not likely and equations > 1 and chdtrc(equations - 1, left) >= FALSE_ALARM:
             likely = [Hypothesis("slip", lambda data: data, {"quantity": quantity})]
         names = self.mechanism.leg_names
@@ -323,7 +326,7 @@ class Session:
             )
             for hypothesis in likely
         )
-        return Checked(row, sigma, True, quantity, causes)
+        return Checked(row, float(sigma), True, quantity, causes)
 
     def _predicted(
         self, calibration: Calibration, hypotheses: Sequence[Hypothesis]
@@ -364,36 +367,41 @@ def _squares(r: Array, S: Array) -> Array:
     return squares
 
 
-def _slipped(r: Array, S: Array, linear: Linear) -> tuple[str, float]:
-    """Return the number whose slip explains most of a row, and what that leaves of its χ².
+def _judged(r: Array, S: Array, linear: Linear, rows: Index | slice) -> tuple[Array, ...]:
+    """Return χ² of rows, their σ and chance, which quantity is worst, and χ² without it, (N,) each.
 
-    A slip of one standard deviation moves the residuals r, (k,), by its column w of the noise's
-    root: it takes (wᵀ S⁻¹ r)² / wᵀ S⁻¹ w away. Infinite where no pose belongs to the row.
+    Of residuals r, (N, k), with covariances S, of conditions at some rows. A slip of one standard
+    deviation moves residuals by its column w of the noise's root, so that it takes (wᵀ S⁻¹ r)² /
+    wᵀ S⁻¹ w of χ² away: chances are those of χ², or of the most that a quantity takes, if less.
+    σ are those of one normal number as unlikely; infinite where no pose belongs to a row.
     """
-    quantities = tuple(linear.problem.quantities)
-    square = float(_squares(r[None], S[None])[0])
-    gains = np.zeros(len(quantities))
-    if np.isfinite(square):
-        w = np.nan_to_num(linear.white(linear.noise_root)[0, :, : len(quantities)])
-        weighted = np.linalg.solve(S, w)
-        sizes = (w * weighted).sum(axis=0)
-        gains = (r @ weighted) ** 2 / np.where(sizes > 0.0, sizes, np.inf)
-    worst = int(gains.argmax())
-    left = max(square - float(gains[worst]), 0.0)
-    return linear.problem.observation.named(quantities[worst], 0), left
+    squares, equations = _squares(r, S), linear.equations[rows]
+    w = np.nan_to_num(linear.white(linear.noise_root)[rows, :, : len(linear.problem.quantities)])
+    known = np.isfinite(squares)
+    gains, weighted = np.zeros((len(r), w.shape[2])), np.linalg.solve(S[known], w[known])
+    sizes = (w[known] * weighted).sum(axis=1)
+    taken = (r[known, None] @ weighted)[:, 0] ** 2
+    gains[known] = np.where(sizes > _SEEN, taken / np.maximum(sizes, _SEEN), 0.0)
+    worst, most = gains.argmax(axis=1), gains.max(axis=1)
+    slips = (gains > 0.0).sum(axis=1) * chdtrc(1, most)
+    chances = np.minimum(chdtrc(np.maximum(equations, 1), squares), np.where(most > 0, slips, 1.0))
+    chances = np.where(equations > 0, chances, 1.0)
+    likely = chances > np.finfo(float).tiny
+    sigmas = np.where(likely, -ndtri(np.where(likely, chances, 1.0) / 2.0), np.sqrt(squares))
+    return squares, np.maximum(sigmas, 0.0), chances, worst, np.maximum(squares - most, 0.0)
 
 
 def _doubtful(fits: Fits) -> tuple[int, float] | None:
     """Return the row that is farthest off what all others predict, and by how many σ; or None.
 
-    χ² = rᵀ (1 − Q Qᵀ)⁻¹ r of residuals r and orthonormal columns Q is that of a fit without it.
+    Of residuals r and orthonormal columns Q, a fit without a row leaves it (1 − Q Qᵀ)⁻¹ r, which
+    is its covariance, too.
     """
     fit = fits.fits[0]
     rows, r = np.flatnonzero(fit.good), fit.last.residuals[fit.good]
-    equations = fit.last.equations[rows]
-    squares = _squares(r, np.eye(r.shape[1]) - fit.Q @ fit.Q.mT)
-    chances = np.where(equations > 0, chdtrc(np.maximum(equations, 1), squares), 1.0)
+    S = np.asarray(np.linalg.inv(np.eye(r.shape[1]) - fit.Q @ fit.Q.mT), dtype=float)
+    _, sigmas, chances, *_ = _judged((S @ r[:, :, None])[:, :, 0], S, fit.last, rows)
     worst = int(chances.argmin())
     if chances[worst] * len(rows) >= FALSE_ALARM:
         return None
-    return int(rows[worst]), as_one(float(squares[worst]), int(equations[worst]))
+    return int(rows[worst]), float(sigmas[worst])
