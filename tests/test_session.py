@@ -256,7 +256,7 @@ def test_simulated_machine_answers_a_session(machine: tuple[SimulatedMachine, st
     simulated, port = machine
     simulated.slips = 0.15
     answer = simulated.answer('{"leg_1 [deg]": 0}')
-    assert json.loads(answer)["trouble"].startswith("no set point of")
+    assert json.loads(answer)["trouble"].startswith("set points: no column")
     outcome = unattended(port, "0.1mm")
     assert outcome.code == 0
     assert "enough: 0.1 mm reached" in outcome.out

@@ -124,14 +124,12 @@ def prepared(
     return with_followed_influences(Calibration(machine, replace(data), completed))
 
 
-@one_thread()
 def identified(
     asked: Calibration, near: Fits | None = None
 ) -> tuple[CalibrationResult, Fits, Fits]:
     """Return the result of a calibration without findings; its fits, and those of sure tolerances.
 
-    Near are fits whose residuals say that the model lacks something; errors are those of
-    ``calibrate``.
+    Near are fits whose model lacks something; errors are those of ``calibrate``.
     """
     calibration = replace(near.calibration, lacks=True) if near else started(asked)
     try:

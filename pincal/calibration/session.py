@@ -61,6 +61,7 @@ ENOUGH = 0.95
 _LARGEST = 3.0  # standard deviations that the largest changes of machines are
 _CAUSES = 3  # that are named, at most
 _SEEN = 1e-6  # share of a slip's square that a residual shows, at least
+_LEAST = float(np.finfo(float).tiny)  # of chances that can be held
 _NEARLY = 1e-4  # of a row's χ²: what is left where a number was rounded as it was typed
 
 
@@ -301,9 +302,7 @@ class Session:
         if self._fits is None and len(calibration.observation.external):
             return Checked(row, None)
         r, S, linear = self._predicted(calibration, [AS_MEASURED])
-        square, sigma, chance, worst, left = (
-            array[0] for array in _judged(r, S, linear, slice(None))
-        )
+        square, sigma, chance, worst, left = (v[0] for v in _judged(r, S, linear, slice(1)))
         if chance >= FALSE_ALARM:
             return Checked(row, float(sigma))
         tried = list(faults_of_a_row(Case(calibration, np.array([row]))))
@@ -385,10 +384,8 @@ def _judged(r: Array, S: Array, linear: Linear, rows: Index | slice) -> tuple[Ar
     worst, most = gains.argmax(axis=1), gains.max(axis=1)
     slips = (gains > 0.0).sum(axis=1) * chdtrc(1, most)
     chances = np.minimum(chdtrc(np.maximum(equations, 1), squares), np.where(most > 0, slips, 1.0))
-    chances = np.where(equations > 0, chances, 1.0)
-    likely = chances > np.finfo(float).tiny
-    sigmas = np.where(likely, -ndtri(np.where(likely, chances, 1.0) / 2.0), np.sqrt(squares))
-    return squares, np.maximum(sigmas, 0.0), chances, worst, np.maximum(squares - most, 0.0)
+    sigmas = np.where(chances > _LEAST, -ndtri(chances / 2.0), np.sqrt(squares))
+    return squares, sigmas, chances, worst, np.maximum(squares - most, 0.0)
 
 
 def _doubtful(fits: Fits) -> tuple[int, float] | None:

@@ -30,13 +30,13 @@ from pincal.calibration.session import Session, SessionOptions
 from pincal.cli.app import command, fail, say, stdout, warn, working
 from pincal.cli.options import Mech, PlanOptions, typed_name
 from pincal.design.planning import sampled, with_reading_noise
-from pincal.files.columns import columns_of
+from pincal.files.columns import columns_of, reading_units
 from pincal.files.measurements import read_poses
-from pincal.files.table import write_table
+from pincal.files.table import TextTable, write_table
 from pincal.option import option
 from pincal.show.measuring import obeyed, progress, responding, set_points
 from pincal.show.view.view import PageServer
-from pincal.words.numbers import UNITS, Units, percent
+from pincal.words.numbers import Units, percent
 
 _CANDIDATES = 500  # poses, where no plan is given
 _PATIENCE = 5.0  # seconds in which an instrument must take the call
@@ -331,12 +331,10 @@ class SimulatedMachine:
         Raises:
             MeasurementError: a reading without a set point, or no such pose.
         """
-        points = {name: head for head in set_points for name in [head.partition(" [")[0]]}
-        if missing := [name for name in self.mechanism.reading_names if name not in points]:
-            raise MeasurementError(f"no set point of {', '.join(missing)}")
-        heads = [points[name] for name in self.mechanism.reading_names]
-        factors = [UNITS.get(head.partition(" [")[2][:-1], ("", 1.0))[1] for head in heads]
-        readings = np.array([[float(set_points[head]) for head in heads]]) * factors
+        names = [head.removesuffix("]").partition(" [")[::2] for head in set_points]
+        text = {name: [str(v)] for (name, _), v in zip(names, set_points.values(), strict=True)}
+        table = TextTable(Path("set points"), dict(names), text, [1], "row", self.mechanism.counts)
+        readings = table.array(reading_units(self.mechanism))
         plan = Plan(pincal.forward(self.mechanism, readings).poses)
         if not np.isfinite(plan.poses).all():
             raise MeasurementError("the machine does not reach that")

@@ -66,7 +66,7 @@ class RowFile:
         """
         blank = {name: "" if name in TEXTS else np.nan for name in self.columns}
         lines = [[row.get(name, cell) for name, cell in blank.items()] for row in rows]
-        try:
+        with _saying(f"{self.path} cannot be written"):
             if self.path is None:
                 self._lines += lines
             elif self.path.suffix != ".parquet":
@@ -79,8 +79,6 @@ class RowFile:
                     new, table = self.path / "new.parquet", extra("pyarrow").table(columns)
                     extra("pyarrow.parquet").write_table(table, new)
                     new.replace(part)
-        except OSError as error:
-            raise FileError(f"{self.path} cannot be written: {error.strerror or error}") from error
 
 
 def extra(name: str) -> Any:

@@ -431,27 +431,18 @@ static inline int machine_solve(const machine_leg *leg, const double *T, const d
     return machine_closure(leg, T, values, 0, A) <= 1e-10 * leg->size && machine_mode(leg, T, values) == leg->mode;
 }
 
-/* which start is nearest to a pose of those that were not tried */
-static inline int machine_nearest(const double *T, const int *tried) {
-    int nearest = 0;
-    double least = INFINITY;
-    for (int s = 0; s < MACHINE_STARTS; s++) {
-        double apart = 0.0; /* |R - R'|^2 is twice the squared angle */
-        for (int i = 0; i < 12; i++) apart += (i % 4 == 3 ? 1.0 : 0.5 * machine_size * machine_size) * (T[i] - machine_starts[s][i]) * (T[i] - machine_starts[s][i]);
-        if (!tried[s] && apart < least) { least = apart; nearest = s; }
-    }
-    return nearest;
-}
-
 /* joints of a leg near given ones, or from starts, the nearest first: the first within limits that
    close it, if there are none the first at all */
 static inline int machine_close(const machine_leg *leg, const double *T, const double *near, double *values) {
-    int tried[MACHINE_STARTS] = {0}, best = 0;
-    double beyond[MACHINE_MOST];
+    double apart[MACHINE_STARTS] = {0}, beyond[MACHINE_MOST];
+    int best = 0;
     if (near) { machine_copy(near, values, leg->n_joints); return machine_solve(leg, T, near, values); }
+    for (int s = 0; s < MACHINE_STARTS; s++) /* |R - R'|^2 is twice the squared angle */
+        for (int i = 0; i < 12; i++) apart[s] += (i % 4 == 3 ? 1.0 : 0.5 * machine_size * machine_size) * pow(T[i] - machine_starts[s][i], 2.0);
     for (int k = 0; k < MACHINE_STARTS; k++) {
-        int start = machine_nearest(T, tried);
-        tried[start] = 1;
+        int start = 0;
+        for (int s = 1; s < MACHINE_STARTS; s++) start = apart[s] < apart[start] ? s : start;
+        apart[start] = INFINITY;
         machine_copy(leg->starts[start], values, leg->n_joints);
         int closed = machine_solve(leg, T, NULL, values);
         if (closed && !machine_outside(leg, values)) return 1;

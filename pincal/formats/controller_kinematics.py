@@ -123,10 +123,9 @@ def forward(
     known = _with_loads(influences or [nan] * len(MACHINE["influences"]), readings)
     if near is not None:
         return _forward(readings, known, *near)
-    home = pose(*MACHINE["home"]), [leg["home"] for leg in MACHINE["legs"]]
-    solution = _forward(readings, known, *home)
+    from_pose, joints = pose(*MACHINE["home"]), [leg["home"] for leg in MACHINE["legs"]]
+    solution = _forward(readings, known, from_pose, joints)
     if solution.reason:
-        from_pose, joints = home
         for step in range(1, WAY + 1):
             pairs = zip(MACHINE["home_readings"], readings, strict=True)
             stage = [start + step / WAY * (end - start) for start, end in pairs]

@@ -48,8 +48,7 @@ then missed by {}; without it by {}.
 """
 _log = logging.getLogger(__name__)
 _NEAR = (
-    "Give `near`, joints of the last call: that is faster, and says which way is meant where the "
-    "machine may bend in several."
+    "Give `near`, joints of the last call: faster, and sure where legs may bend in several ways."
 )
 _ARM = (
     "An arm reaches a pose in several ways: `near`, joints of the last call, say which; begin with "
@@ -226,7 +225,6 @@ def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str
     shown, values, near = _example(deployed)
     names, counts = mechanism.reading_names, mechanism.counts
     units = zip(names, mechanism.reading_units, strict=True)
-    pairs = zip(names, values, strict=True)
     frames = "Poses are T_base_platform, in the frame that the machine was measured in."
     if not (np.allclose(deployed.frame, np.eye(4)) and np.allclose(deployed.tool, np.eye(4))):
         frames = (
@@ -251,7 +249,7 @@ def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str
         further="| `linuxcnc.hal` | HAL lines for LinuxCNC's own kinematics |\n" * linuxcnc,
         home=", ".join(map(repr, shown)),
         coordinates=", ".join(mechanism.platform.coordinates),
-        readings=", ".join(f"{n} = {v:.9g}" for n, v in pairs),
+        readings=", ".join(f"{n} = {v:.9g}" for n, v in zip(names, values, strict=True)),
         near=near,
         units="\n".join(f"| {n} | {unit} | {counts.get(n) or '–'} |" for n, unit in units),
         frames=frames,
