@@ -7,7 +7,7 @@ rows are fitted; a line has root mean square distances of the targets at the oth
 squares (which SciPy's of all displacements equals), by default, and with terms of gravity (by
 measured torques, masses of links, or 10 kg at the end where none is known); how many of the default
 fits converged, how large the error of the platform is promised over what its targets miss by, and
-the longest time of a default fit [s].
+the longest processor time of a default fit [s].
 """
 
 from __future__ import annotations
@@ -92,9 +92,9 @@ def line(name: str, splits: int) -> str:
         fit, others = np.split(order, [int(0.7 * len(data))])
         seen, verification = data.rows(np.sort(fit)), data.rows(np.sort(others))
         even = pincal.calibrate(machine, seen, setup=setup, noise=LEAST_SQUARES)
-        begun = time.perf_counter()
+        begun = time.process_time()
         result = pincal.calibrate(machine, seen, setup=setup)
-        seconds.append(time.perf_counter() - begun)
+        seconds.append(time.process_time() - begun)
         converged += result.converged
         sagging = pincal.calibrate(weighing, seen, setup=setup, terms="gravity")
         found.append([missed(fit, verification) for fit in (even, result, sagging)])
