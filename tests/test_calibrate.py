@@ -18,7 +18,6 @@ from scipy.optimize import least_squares
 import pincal
 from pincal import sample_workspace
 from pincal.calibration.result_files import read_result
-from pincal.model.measurements import EVERY_LEG
 from pincal.workspace.criteria import in_workspace
 from studies import three_rrr_errors
 from studies.trials import Way, machines
@@ -412,7 +411,7 @@ def test_unobservable_parameters_are_named(candidates: dict[str, np.ndarray]) ->
     poses = candidates["3RRR"][:300].copy()
     poses[:, 2] = 0.1
     poses = poses[in_workspace(mechanism, poses)]
-    sets = (EVERY_LEG,) * len(poses)
+    sets = ("all",) * len(poses)
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses, sets), EXACT).measurements
     with pytest.raises(pincal.ObservabilityError, match=r"leg_1\.ob.* move together"):
         pincal.calibrate(mechanism, data, strict=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
-from pincal.errors import MeasurementError
+import pincal
 from pincal.estimation.rows import white_rows
 
 SIZES = [(5, 2, 4, 6), (7, 3, 4, 7), (4, 0, 3, 5), (3, 2, 1, 3), (12, 6, 6, 18), (2, 0, 2, 2)]
@@ -110,15 +110,15 @@ def test_more_exact_conditions_than_freedoms_contradict() -> None:
     _, _, B, S = conditions(5, 2, 4, 5)
     exact = S.copy()
     exact[3, 2:] = 0.0
-    with pytest.raises(MeasurementError):
+    with pytest.raises(pincal.MeasurementError):
         white_rows(B, exact)
     exact[3, 2] = 1e-9 * S[3, 2]
     assert np.isfinite(white_rows(B, exact).by_noise).all()
-    with pytest.raises(MeasurementError):
+    with pytest.raises(pincal.MeasurementError):
         white_rows(B, B @ np.ones((8, 2, 6)))
-    with pytest.raises(MeasurementError):
+    with pytest.raises(pincal.MeasurementError):
         white_rows(B, S[:, :, :2])
-    with pytest.raises(MeasurementError):
+    with pytest.raises(pincal.MeasurementError):
         white_rows(B[:, :, :0], np.zeros((8, 5, 0)))
 
 
