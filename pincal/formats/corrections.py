@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, eye_array, kron
 
 from pincal.errors import MechanismError
 from pincal.files.columns import Columns, columns_of
@@ -99,11 +99,11 @@ def correction_grid(
     nothing = np.zeros((count**platform.dof, platform.dof))
     grid = CorrectionGrid(platform, offsets.min(axis=0), offsets.max(axis=0), nothing)
     corners = grid.corners(poses).tocsr()
-    normal, step = (corners.T @ corners).toarray(), np.diff(np.eye(count), 2, axis=0)
+    normal, step = corners.T @ corners, np.diff(np.eye(count), 2, axis=0)
     for before in range(platform.dof):
-        sides = np.eye(count**before), np.eye(count ** (platform.dof - 1 - before))
-        normal += _SMOOTH * np.kron(np.kron(sides[0], step.T @ step), sides[1])
-    normal += 1e-4 * _SMOOTH * np.eye(len(normal))
+        sides = eye_array(count**before), eye_array(count ** (platform.dof - 1 - before))
+        normal += _SMOOTH * kron(kron(sides[0], step.T @ step), sides[1], "csr")
+    normal = (normal + 1e-4 * _SMOOTH * eye_array(len(nothing))).toarray()
     twists = solve(normal, corners.T @ platform.twists_between(poses, commands), assume_a="pos")
     return replace(grid, twists=twists)
 
