@@ -65,8 +65,7 @@ def _few(result: CalibrationResult) -> list[Finding]:
     few: dict[tuple[int, int], list[str]] = {}
     for leg in result.legs:
         if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters):
-            poses = len(np.unique(leg.rows))
-            few.setdefault((poses, len(leg.parameters)), []).append(leg.name)
+            few.setdefault((len(np.unique(leg.rows)), len(leg.parameters)), []).append(leg.name)
     return [
         finding("few-poses", legs=tuple(legs), poses=poses, unknowns=unknowns)
         for (poses, unknowns), legs in few.items()
@@ -121,9 +120,9 @@ def _noise(result: CalibrationResult) -> list[Finding]:
 def _proportion(fits: Fits) -> list[Finding]:
     """Return a finding if some measured quantities are noisier than given, others less.
 
-    Score test of variance components at the noise given: d = q − F 1 has the covariance 2 F, and
-    that of the noise itself where repeated rows show it. Of legs alone, which share the noise of
-    poses, it says nothing.
+    Score test of variance components at the noise given: q has the mean F 1 and the covariance 2 F,
+    and that of the noise itself where repeated rows show it; its cube roots are about normal (E. B.
+    Wilson, M. M. Hilferty 1931). Of legs alone, which share noise of poses, it says nothing.
     """
     noise = fits.calibration.noise
     if not (fits.latent and noise.known) or any(fit.system.loss is not None for fit in fits.fits):
@@ -133,11 +132,12 @@ def _proportion(fits: Fits) -> list[Finding]:
     testable = np.array([True, True, readings and noise.source != "rows", True])[: len(moments.F)]
     groups = np.flatnonzero(testable & (np.diagonal(moments.F) > 0.0))
     F = moments.F[np.ix_(groups, groups)]
-    variances, spread = np.linalg.pinv(F) @ moments.q[groups], 2.0 * np.linalg.pinv(F)
-    spread += np.diag([2.0 / noise.freedoms[group] for group in groups])
-    excesses = variances - 1.0
+    q, expected, variances = moments.q[groups], F.sum(axis=0), np.linalg.pinv(F) @ moments.q[groups]
+    spread = 2.0 * F + F @ np.diag([2.0 / noise.freedoms[group] for group in groups]) @ F
+    spread /= np.outer(expected, expected)
+    excesses = 3.0 * (np.cbrt(q / expected) - 1.0) + np.diagonal(spread) / 3.0
     p_value = float(chdtrc(len(groups), excesses @ np.linalg.pinv(spread) @ excesses))
-    if p_value >= FALSE_ALARM or len(groups) < 2 or not excesses.max() > 0.0:
+    if p_value >= FALSE_ALARM or len(groups) < 2 or not variances.max() > 1.0:
         return []
     names = ("positions", "orientations", "readings", "pixels")
     ratios = {names[g]: float(np.sqrt(max(v, 0.0))) for g, v in zip(groups, variances, strict=True)}
