@@ -486,6 +486,8 @@ def test_command_calibrates_by_a_camera(folder: Path) -> None:
     (camera,) = result.options.setup.instruments
     assert camera == pincal.Setup.from_yaml(folder / "setup.yaml").instruments[0]
     assert result["main.fx"].identified == pytest.approx(1500.0, abs=20.0)  # four of its priors
+    page = (folder / "out" / "report.html").read_text()
+    assert "front (143 points in 16 photos)" in page
 
 
 def test_simulated_photos_are_written_as_corners(folder: Path) -> None:

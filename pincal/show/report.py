@@ -24,6 +24,7 @@ from pincal.errors import FileError, MeasurementError, WorkspaceError
 from pincal.files.measurements import read_poses
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
+from pincal.model.checks import counted
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show import answers, tables
@@ -231,15 +232,27 @@ def _poses(result: CalibrationResult) -> Markup | None:
     return page_figure("poses", picture(result.nominal, plan).draw, caption)
 
 
+def _quantities(result: CalibrationResult) -> list[str]:
+    """Return what was measured of the platform, with how often, and what each camera saw."""
+    data, setup = result.measurements, result.options.setup
+    columns = dict(zip(result.nominal.platform.coordinates, data.poses.T, strict=True))
+    columns, seen_by = columns | dict(data.extra), list[str]()
+    for device in setup.instruments:
+        if pixels := setup.pixels & {*device.columns}:
+            seen = np.isfinite([columns.pop(name) for name in pixels])
+            photos, points = int(seen.any(axis=0).sum()), int(seen.sum()) // 2
+            named = f"{counted(points, 'point')} in {counted(photos, 'photo')}"
+            seen_by.append(f"{device.name} ({named})")
+    counts = {name: int(np.isfinite(values).sum()) for name, values in columns.items()}
+    return seen_by + [f"{k}{f' ({n} rows)' * (n < len(data))}" for k, n in counts.items() if n]
+
+
 def _measured(result: CalibrationResult) -> dict[str, str]:
     nominal, data = result.nominal, result.measurements
     readings = zip(nominal.reading_names, nominal.reading_units, strict=True)
-    columns = dict(zip(nominal.platform.coordinates, data.poses.T, strict=True)) | dict(data.extra)
-    counts = {name: int(np.isfinite(values).sum()) for name, values in columns.items()}
-    often = {name: f" ({n} rows)" if n < len(data) else "" for name, n in counts.items() if n}
     facts = {
         "rows": str(len(data)),
-        "of the platform": ", ".join(map("".join, often.items())) or "nothing",
+        "of the platform": ", ".join(_quantities(result)) or "nothing",
         "readings": ", ".join(f"{name} [{unit}]" for name, unit in readings),
         "noise": answers.noise_line(result),
     }
