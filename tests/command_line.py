@@ -49,6 +49,11 @@ def done(*arguments: object) -> Outcome:
     return outcome
 
 
+def unnamed(words: list[str], text: str) -> list[str]:
+    """Return the words that a text does not hold, as whole words."""
+    return [w for w in words if not re.search(rf"(?<!\w){re.escape(w)}(?!\w)", text)]
+
+
 def undated(report: bytes) -> bytes:
     """Return a report without its date and the command that was typed."""
     return re.sub(rb"\d{4}-\d\d-\d\d \d\d:\d\d [+-]\d{4}|<pre>.*?</pre>", b"", report)

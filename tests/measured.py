@@ -63,6 +63,13 @@ def workspace(kind: str, count: int, seed: int = 0) -> np.ndarray:
     return _sampled[kind, seed][:count].copy()
 
 
+def leg_after_leg(count: int) -> tuple[pincal.Mechanism, pincal.Plan]:
+    """Return a 3-RRR and poses for each leg, set after set."""
+    mechanism = pincal.load_mechanism("3RRR")
+    sets = tuple(leg for leg in mechanism.leg_names for _ in range(count))
+    return mechanism, pincal.Plan(workspace("3RRR", 3 * count), sets)
+
+
 def machine(
     kind: str, count: int = 40, noise: pincal.Noise = NOISE, seed: int = 0, sigma: float = 2e-3
 ) -> tuple[pincal.Mechanism, pincal.Mechanism, pincal.Measurements]:

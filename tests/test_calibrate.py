@@ -12,7 +12,7 @@ from closed_forms import closure
 from command_line import done, run
 from differences import differentiated
 from marks import quick
-from measured import shaken, workspace
+from measured import error, shaken, workspace
 from scipy.optimize import least_squares
 
 import pincal
@@ -42,12 +42,6 @@ TABLE_2 = {
         "gamma": 0.0046,
     },
 }
-
-
-def error(result: pincal.CalibrationResult, truth: pincal.Mechanism) -> float:
-    """Return the largest error of an identified parameter."""
-    pairs = zip(result.identified.legs, truth.legs, strict=True)
-    return max(float(np.abs(a.nominal - b.nominal).max()) for a, b in pairs)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import contents, done, run
+from command_line import contents, done, run, unnamed
 from marks import quick, some_slow
 
 import pincal
@@ -29,11 +29,6 @@ NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
 READ = {"4cable": ["--noise-reading", "1e-5"]}
 DISTURB = ["--disturb", "0.001"]
 COMMANDS = {str(command.name): command for command in app.registered_commands}
-
-
-def unnamed(words: list[str], text: str) -> list[str]:
-    """Return the words that a text does not hold, as whole words."""
-    return [w for w in words if not re.search(rf"(?<!\w){re.escape(w)}(?!\w)", text)]
 
 
 def chain(kind: str, folder: Path, seed: int = 1) -> Path:

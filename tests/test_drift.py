@@ -9,19 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import done
-from measured import workspace
+from measured import leg_after_leg, workspace
 
 import pincal
 from pincal.design.order import REFERENCE, in_rounds
 
 NOISE = pincal.Noise(2e-5, 2e-5, 1e-5)
-
-
-def leg_after_leg(count: int) -> tuple[pincal.Mechanism, pincal.Plan]:
-    """Return a 3-RRR and poses for each leg, set after set."""
-    mechanism = pincal.load_mechanism("3RRR")
-    sets = tuple(leg for leg in mechanism.leg_names for _ in range(count))
-    return mechanism, pincal.Plan(workspace("3RRR", 3 * count), sets)
 
 
 def test_one_pose_is_measured_again(tmp_path: Path) -> None:

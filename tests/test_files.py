@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yourdfpy
+from command_line import unnamed
 from measured import workspace
 from neighbours import skeleton
 
@@ -40,11 +41,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 def names(folder: Path) -> list[str]:
     """Return the names of what is in a folder."""
     return sorted(path.name for path in folder.iterdir())
-
-
-def unnamed(words: list[str], text: str) -> list[str]:
-    """Return the words that a text does not hold, as whole words."""
-    return [w for w in words if not re.search(rf"(?<!\w){re.escape(w)}(?!\w)", text)]
 
 
 def edit(folder: Path, *edits: Edit) -> None:

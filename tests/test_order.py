@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done
-from measured import workspace
+from measured import leg_after_leg, workspace
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import pdist, squareform
 
@@ -16,16 +16,9 @@ import pincal
 from pincal.design.order import in_rounds, with_verification
 
 
-def of_legs(count: int) -> tuple[pincal.Mechanism, pincal.Plan]:
-    """Return a 3-RRR and poses for each leg, set after set."""
-    mechanism = pincal.load_mechanism("3RRR")
-    sets = tuple(leg for leg in mechanism.leg_names for _ in range(count))
-    return mechanism, pincal.Plan(workspace("3RRR", 3 * count), sets)
-
-
 def test_rounds_have_a_share_of_every_set() -> None:
     """Each round has as many rows of each set as the others, all rows are there once; by seeds."""
-    mechanism, plan = of_legs(12)
+    mechanism, plan = leg_after_leg(12)
     ordered = in_rounds(mechanism, plan, 3, 0, seed=3)
     rows = [plan.poses.tolist().index(pose) for pose in ordered.poses.tolist()]
     assert sorted(rows) == list(range(36))
@@ -42,7 +35,7 @@ def test_ways_are_short() -> None:
 
     The tree is shorter than any order can be. In a random order it is four times the tree.
     """
-    mechanism, plan = of_legs(24)
+    mechanism, plan = leg_after_leg(24)
     readings = pincal.inverse(mechanism, plan.poses).readings
     spans = readings / np.ptp(readings, axis=0)
     ways = squareform(pdist(plan.poses[:, :2]))
@@ -84,7 +77,7 @@ def test_a_drift_does_not_hide_in_legs() -> None:
     show: errors are larger than the noise makes them. In rounds they are not.
     """
     noise = pincal.Noise(2e-5, 2e-5)
-    mechanism, plan = of_legs(20)
+    mechanism, plan = leg_after_leg(20)
     poses = plan.poses
     drift = np.linspace(-1e-4, 1e-4, 60)[:, None] * [1.0, 0.0, 0.0]
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import unnamed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -53,11 +53,6 @@ def measurements(draw: st.DrawFn) -> tuple[pincal.Mechanism, pincal.Measurements
 def bits(values: Array | None) -> bytes | None:
     """Return the bytes of an array, in which -0.0 and 0.0 differ."""
     return None if values is None else np.ascontiguousarray(values).tobytes()
-
-
-def unnamed(words: list[str], text: str) -> list[str]:
-    """Return the words that a text does not hold, as whole words."""
-    return [w for w in words if not re.search(rf"(?<!\w){re.escape(w)}(?!\w)", text)]
 
 
 def names(folder: Path) -> list[str]:
