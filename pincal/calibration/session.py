@@ -291,7 +291,8 @@ class Session:
             if self._outermost() is None:
                 options = replace(self._options, priors={})  # what is promised without drawings
                 result = calibrate(self.mechanism, calibration.measurements, options)
-                self.enough = errors_inside(result, workspace)[1].limit[0] <= wanted
+                self.error = errors_inside(result, workspace)[1]
+                self.enough = self.error.limit[0] <= wanted
         except (PincalError, np.linalg.LinAlgError) as error:
             self.why = str(error)
 
