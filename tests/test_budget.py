@@ -22,7 +22,7 @@ LINES = {
     "files": 3_364,
     "formats": 3_522,
     "instruments": 1_561,
-    "kinematics": 3_297,
+    "kinematics": 3_300,
     "model": 3_600,
     "show": 4_613,
     "symmetry": 1_374,

@@ -88,6 +88,21 @@ def test_readings_and_derivatives_are_those_of_the_form(axis: tuple[float, ...])
     assert np.abs(robot.platform.matrices(found.poses) - matrices).max() < 1e-9
 
 
+def test_cables_that_hang_beside_their_pulleys_stay_on_their_side(box: pincal.Mechanism) -> None:
+    """Exact readings are explained within 1e-9 m: no leg is sought beyond its singularity."""
+    leg, rng = box.legs[0], np.random.default_rng(0)
+    A, b = (np.array([leg.nominal_by_name[f"{name}_{i}"] for i in "xyz"]) for name in "Ab")
+    inward = np.arctan2(-A[1], -A[0]) + rng.uniform(-1.2, 1.2, 60)
+    beside = rng.uniform(2.5, 6.0, 60) * RADIUS
+    down = rng.uniform(0.8, 2.0, 60)
+    points = A + np.column_stack((beside * np.cos(inward), beside * np.sin(inward), -down))
+    poses = np.vstack((near_home(box, 40), np.column_stack((points - b, np.zeros((60, 3))))))
+    readings = pincal.inverse(box, poses).readings
+    assert np.isfinite(readings).all()
+    result = pincal.calibrate(box, pincal.Measurements(poses, readings=readings))
+    assert max(leg.rms_after for leg in result.legs) < 1e-9
+
+
 def test_pulleys_are_saved_and_carried(box: pincal.Mechanism, tmp_path: Path) -> None:
     """The folder gives the same legs back; a pulley carried by a mirror reads as the form says."""
     assert pincal.load_mechanism(box.save(tmp_path / "box")).legs == box.legs

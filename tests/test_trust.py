@@ -233,7 +233,10 @@ def test_standard_errors_in_an_unknown_frame() -> None:
 
 @pytest.mark.slow
 def test_the_command_holds_runs_out(tmp_path: Path) -> None:
-    """``--by run`` leaves out each run in turn: what is said equals ``validate`` from Python."""
+    """``--by run`` leaves out each run in turn: what is said equals ``validate`` from Python.
+
+    Fits end within 1e-3 standard errors of the optimum, about which χ² is flat: within 1e-6.
+    """
     mechanism, truth, clean = machine("5R", 40, EXACT)
     plan = pincal.Plan(clean.poses)
     parts = [pincal.simulate(mechanism, truth, plan, NOISE, run).measurements for run in range(3)]
@@ -243,9 +246,9 @@ def test_the_command_holds_runs_out(tmp_path: Path) -> None:
     found = pincal.load_result(tmp_path / "r").validation
     expected = validated(mechanism, data, by="run")
     assert found.folds == expected.folds == 3
-    assert found.held_out == pytest.approx(expected.held_out, rel=1e-9)
+    assert found.held_out == pytest.approx(expected.held_out, rel=1e-6)
     result = pincal.calibrate(mechanism, data).validated(by="run")
-    assert result.validation.held_out == pytest.approx(found.held_out, rel=1e-9)
+    assert result.validation.held_out == pytest.approx(found.held_out, rel=1e-6)
     assert len(set(result.contradictions)) == len(result.contradictions)
 
 

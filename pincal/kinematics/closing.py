@@ -273,6 +273,9 @@ def started(
     """
     if near is None and legs[0].leg.passive:
         near = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
+        if not closed_form(legs[0]):  # a start may lie beyond a singularity, in another mode
+            closed = close(legs, matrices)
+            near = np.where(closed.reached[:, None], closed.joints, near)
     start = np.zeros((len(matrices), len(legs[0].leg.moving))) if near is None else near
 
     def driven(leg: LegClosure, joints: Array, rows: Array) -> Array:
