@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 628,
-    "calibration": 6_737,
+    "calibration": 6_783,
     "cli": 2_897,
     "design": 2_321,
-    "estimation": 4_777,
+    "estimation": 4_803,
     "files": 3_364,
     "formats": 3_522,
     "instruments": 1_561,

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import bdtrc
+from scipy.special import bdtrc, chdtrc, chdtri, ndtr
 
 from pincal.blas import one_thread
 from pincal.calibration.assemble import chi2_freedoms, noise_freedoms
@@ -27,6 +27,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import KINDS, Missed, Validation
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
+from pincal.estimation.components import Moments, predicted_squares
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.problem import Linear
 from pincal.estimation.robust import as_one
@@ -41,6 +42,9 @@ from pincal.words.findings import finding
 MISSES = 10.0
 """Standard deviations by which a fit misses its own rows that is none, which held-out rows do not
 make worse."""
+Predicted = list[tuple[Fit, Index, Linear]]
+"""Fits, rows held out of them, and residuals and derivatives at these."""
+_GROUPS = {"m": 0, "rad": 1, "px": 3}
 _DRAWN, _CHOSEN = 1000, 2000  # misses of each fold; choices of poses for an interval
 
 
@@ -102,6 +106,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     open_ends = [(groups < 0).any(), calibration.observation.setup.between]
     total = None if any(open_ends) else chi2
     unit = 1.0 if calibration.noise.known else max(chi2 / max(dof, 1), 1e-300)
+    variances = _variances_drawn(fits_of_all)
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
         fitted_rows, held = groups != fold, held_rows(calibration, groups == fold)
@@ -109,7 +114,11 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         fits = converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, fitted_rows)
         predicted = predictions(fits, held)
         sums = _sums(predicted, len(held.measurements))
-        chances.append(_chance(fits, sums, total))
+        if total is None:
+            chances.append(_chance_of_rows(fits, predicted, variances, np.ones(len(sums), bool)))
+        else:
+            inside = max(total - fits.chi2, 0.0)
+            chances.append(_chance(fits, inside, float(sums[:, 3].sum())))
         sigma[groups == fold] = [as_one(row[0] / unit, int(row[3])) for row in sums]
         for target, values in misses_of(held, fits.parameters, fits.external).items():
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
@@ -122,7 +131,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     p_value = least_of_folds(chances)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and open_ends[0]
-    strays = _strays(fits, predicted, sums, unit, rows) if may_be_wrong else []
+    strays = _strays(fits, predicted, sums, unit, rows, variances) if may_be_wrong else []
     kind = KINDS[count > 1]
     worse = finding("held-out-worse", kind=kind, held_out=error, expected=expected, p_value=p_value)
     places = np.array(clusters(calibration.measurements))
@@ -136,7 +145,10 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         findings=(worse,) if is_worse else (),
         sigma=sigma,
         targets=tuple(
-            replace(missed(*target, values, misses[target], places), limit=_limit(drawn, target))
+            replace(
+                missed(*target, values, misses[target], places),
+                limit=_limit(drawn, target, variances),
+            )
             for target, values in at_fit.items()
             if np.isfinite(misses[target]).any()
         ),
@@ -182,7 +194,7 @@ def converged(
     return fits
 
 
-def predictions(fits_of_all: Fits, held: Calibration) -> list[tuple[Fit, Index, Linear]]:
+def predictions(fits_of_all: Fits, held: Calibration) -> Predicted:
     """Return fits, rows held out of them, and residuals and derivatives at these."""
     if fits_of_all.latent:
         (fit,) = fits_of_all.fits
@@ -196,14 +208,14 @@ def predictions(fits_of_all: Fits, held: Calibration) -> list[tuple[Fit, Index, 
             state = replace(state, matrices=np.where(reached, matrices, state.matrices))
         linear, _ = solve_poses(poses_at_rest(problem.evaluate(state)))
         return [(fit, np.arange(len(held.measurements)), linear)]
-    parts = []
+    parts: Predicted = []
     for fit in fits_of_all.fits:
         problem, rows = held.measured_problem([leg.name for leg in fit.problem.legs])
         parts.append((fit, rows, problem.evaluate(problem.start(fit.parameters))))
     return parts
 
 
-def _sums(predicted: Sequence[tuple[Fit, Index, Linear]], count: int) -> Array:
+def _sums(predicted: Predicted, count: int) -> Array:
     """Return sums over all fits at each row held out of them, shape (count, 4).
 
     rᵀ (1 + J C Jᵀ)⁻¹ r; rᵀ r; tr(J C Jᵀ), by which the squares grow as the fits do not know all;
@@ -246,25 +258,31 @@ def _drawn(fits: Fits, held: Calibration, linear: Linear, unit: float, seed: int
     return {target: values.reshape(-1, _DRAWN) for target, values in sizes.items()}
 
 
-def _limit(drawn: Sequence[Misses], target: tuple[str, str]) -> float:
-    """Return below what the root mean square of a target's misses, of all folds, is at 95 %."""
+def _limit(drawn: Sequence[Misses], target: tuple[str, str], variances: Array | None) -> float:
+    """Return below what the root mean square of a target's misses, of all folds, is at 95 %.
+
+    They are as uncertain as the variances of its own unit, (draws, g); None if these are known.
+    """
     folds = [fold[target] for fold in drawn if target in fold]
     squares = np.concatenate([np.zeros((0, _DRAWN)), *folds]) ** 2
+    if variances is not None:
+        squares *= variances[:, _GROUPS[target[1]]]
     squares = squares[np.isfinite(squares).all(axis=1)]
     return float(np.sqrt(np.quantile(squares.mean(axis=0), CONFIDENCE))) if len(squares) else np.inf
 
 
 def _strays(
     fits: Fits,
-    predicted: Sequence[tuple[Fit, Index, Linear]],
+    predicted: Predicted,
     sums: Array,
     unit: float,
     rows: Index,
+    variances: Array | None,
 ) -> list[Outlier]:
     """Return the few held-out rows that alone contradict, the worst first; none if others do."""
     wrong, strays = suspected(sums[:, 0] / unit, sums[:, 3].astype(np.intp)), []
     few = 0 < wrong.sum() <= max(1.0, MANY_ROWS * len(wrong))
-    if not few or _chance(fits, sums[~wrong], None) < UNLIKELY:
+    if not few or _chance_of_rows(fits, predicted, variances, ~wrong) < UNLIKELY:
         return []
     for place in np.flatnonzero(wrong).tolist():
         sizes: list[tuple[float, str]] = []
@@ -284,23 +302,15 @@ def _strays(
     return sorted(strays, key=lambda stray: -stray.sigma)
 
 
-def _chance(fits: Fits, sums: Array, total: float | None) -> float:
+def _chance(fits: Fits, inside: float, equations: float) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
     χ² of all rows is larger than that of the rows fitted by a χ² of its own, independent of theirs;
-    an F test where the scale of the noise was estimated (G. C. Chow 1960). To first order that is
-    Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
-
-    Sums are those of ``_sums``; the total is χ² of all rows at this noise: by first order if None.
+    an F test where the scale of the noise was estimated (G. C. Chow 1960).
     """
-    statistic, _, _, equations = sums.sum(axis=0).tolist()
-    if not equations:
-        return 1.0
-    dof = fits.degrees_of_freedom
+    dof, chi2 = fits.degrees_of_freedom, fits.chi2
+    ratio, own_ratio = inside / max(equations, 1.0), chi2 / max(dof, 1)
     share = 1.0 if fits.latent else chi2_freedoms(fits.fits) / max(dof, 1)
-    chi2_fitted = fits.chi2
-    inside = statistic if total is None else max(total - chi2_fitted, 0.0)
-    ratio, own_ratio = inside / equations, chi2_fitted / max(dof, 1)
     if fits.calibration.noise.known:
         _, known = noise_freedoms(fits)
         if exceeded(own_ratio, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
@@ -308,6 +318,42 @@ def _chance(fits: Fits, sums: Array, total: float | None) -> float:
     if not own_ratio > 0.0:
         return 1.0
     return exceeded(ratio / own_ratio, share * equations, share * dof)
+
+
+def _chance_of_rows(fits: Fits, predicted: Predicted, variances: Array | None, rows: Mask) -> float:
+    """Return the probability of ``_chance`` to first order, which curvature spoils: of some rows.
+
+    Where variances of groups were estimated without these rows, that of each draw, averaged:
+    squares are a sum of χ², like one of the same mean and variance (Satterthwaite 1946).
+    """
+    inside, equations, traces = 0.0, 0.0, np.zeros(1)
+    parts = Moments.of(fits.fits, fits.noise.reading).parts
+    for (_, served, held), part in zip(predicted, parts, strict=True):
+        chosen = rows[served]
+        more = predicted_squares(part, held, chosen, fits.noise.reading)
+        inside, traces = inside + more[0], traces + more[1]
+        equations += float(held.equations[chosen].sum())
+    if variances is None or not equations:
+        return _chance(fits, inside, equations)
+    means = equations + (variances - 1.0) @ traces
+    freedoms = means**2 / (equations + (variances**2 - 1.0) @ traces)
+    return float(chdtrc(freedoms, freedoms * inside / means).mean())
+
+
+def _variances_drawn(fits: Fits) -> Array | None:
+    """Return what variances of groups may be over the estimated ones, (draws, g); None if known.
+
+    Scaled inverse χ² of 1 + 2 / v degrees of freedom, v the relative variance of an estimate: what
+    is assumed beforehand says as much as one. They are as correlated as estimates are.
+    """
+    if fits.variances is None:
+        return None
+    spread, draws = np.diagonal(fits.variances), np.random.default_rng(0)
+    values, axes = np.linalg.eigh(fits.variances / np.sqrt(np.outer(spread, spread)))
+    normal = draws.standard_normal((_DRAWN, len(spread)))
+    chances = ndtr(normal @ (axes * np.sqrt(values.clip(0.0))).T)
+    freedoms = 1.0 + 2.0 / spread
+    return np.asarray(freedoms / chdtri(freedoms, chances))
 
 
 def least_of_folds(chances: Sequence[float]) -> float:

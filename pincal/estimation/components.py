@@ -17,9 +17,10 @@ import numpy as np
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.identifiable import RANK_TOLERANCE
+from pincal.estimation.problem import Linear
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
-from pincal.types import Array, Index
+from pincal.types import Array, Index, Mask
 
 _R = 2  # readings, behind positions and orientations; pixels behind them where cameras see
 _BEFOREHAND = 1.0  # spread of variances about what is assumed of them, over the largest
@@ -213,9 +214,21 @@ def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
 
 def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array, Array]]:
     """Return what a fit says of the variances of groups: F and q of ``Moments``, and a part."""
-    linear, rows, Q, problem = fit.last, fit.good, fit.Q, fit.problem
+    rows, Q = fit.good, fit.Q
+    V = _of_groups(fit.last, reading)[:, rows]
+    residuals = fit.last.residuals[rows] - Q @ fit.normal.c
+    VQ = V @ Q
+    P = np.stack([over_rows(Q, part) for part in VQ])
+    F = np.einsum("gnij,hnij->gh", V, V) + np.einsum("gij,hij->gh", P, P)
+    F -= 2.0 * np.einsum("gnmi,hnmi->gh", VQ, VQ)
+    q = (residuals * (V @ residuals[:, :, None])[..., 0]).sum(axis=(1, 2))
+    return F, q, (VQ, P, fit.normal.orthonormal(fit.unknowns.map).T)
+
+
+def _of_groups(linear: Linear, reading: float) -> Array:
+    """Return the covariances V_g of white rows by the noise of groups, shape (g, N, m, m)."""
+    problem, n_legs = linear.problem, linear.problem.leg_block.n_rows
     n_readings = problem.leg_block.n_readings
-    n_legs = problem.leg_block.n_rows
     by_reading = np.zeros((*problem.active.shape, n_readings))
     by_reading[:, :n_legs] = linear.by_measured
     by_reading[~problem.active] = 0.0
@@ -224,14 +237,27 @@ def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array
     of_groups = [W[:, :, units == unit] for unit in ("m", "rad", "px")]
     of_groups.insert(_R, linear.white(reading * by_reading))
     groups = of_groups if "px" in units else of_groups[:3]
-    V = np.stack([part[rows] @ part[rows].transpose(0, 2, 1) for part in groups])
-    residuals = linear.residuals[rows] - Q @ fit.normal.c
-    VQ = V @ Q
-    P = np.stack([over_rows(Q, part) for part in VQ])
-    F = np.einsum("gnij,hnij->gh", V, V) + np.einsum("gij,hij->gh", P, P)
-    F -= 2.0 * np.einsum("gnmi,hnmi->gh", VQ, VQ)
-    q = (residuals * (V @ residuals[:, :, None])[..., 0]).sum(axis=(1, 2))
-    return F, q, (VQ, P, fit.normal.orthonormal(fit.unknowns.map).T)
+    return np.stack([part @ part.transpose(0, 2, 1) for part in groups])
+
+
+def predicted_squares(
+    part: tuple[Array, Array, Array], held: Linear, rows: Mask, reading: float
+) -> tuple[float, Array]:
+    """Return rᵀ V⁻¹ r of rows held out of a fit, and tr V⁻¹ V_g, shape (g,).
+
+    Their white residuals r have the covariance V = 1 + A Aᵀ, A = J Wᵀ by the orthonormal unknowns
+    of the fit, of which V_g = D_g + A P_g Aᵀ is by the noise of group g: see ``Moments``. By the
+    singular values of A, large ones cancel nothing.
+    """
+    _, P, W = part
+    r, D = held.residuals[rows], _of_groups(held, reading)[:, rows]
+    U, sizes, Vt = np.linalg.svd((held.jacobian[rows] @ W.T).reshape(r.size, -1), False)
+    along, unknown = r.ravel() @ U, sizes**2 / (1.0 + sizes**2)
+    beside = r.ravel() - U @ along
+    squares = float(beside @ beside + along**2 @ (1.0 / (1.0 + sizes**2)))
+    U = U.reshape(*r.shape, -1)
+    traces = np.einsum("gnii->g", D) - np.einsum("gnij,njk,nik->gk", D, U, U) @ unknown
+    return squares, traces + np.einsum("gij,ki,kj->gk", P, Vt, Vt) @ unknown
 
 
 class Evidence(NamedTuple):
