@@ -2,15 +2,18 @@
 
 Models are nested: the machine as drawn, its geometry identified, and one kind of term more each
 time, the one that the screen of the residuals names first. Each fold goes this way by the rows that
-it sees, so that the choice itself is held out (M. Stone 1974); rows of one pose are together.
+it sees, so that the choice itself is held out (M. Stone 1974); rows of one pose are together. All
+grow at once, and no further where two terms in turn have predicted held-out rows no better.
 The simplest model within one standard error of the best is taken (L. Breiman et al., Classification
 and Regression Trees, 1984): a term that does not pay is not kept, however probable it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 
 import numpy as np
 
@@ -31,6 +34,7 @@ from pincal.types import Array, Mask
 LEVEL = 0.01
 """Probability by chance, of all tests of a screen, below which a term is tried."""
 _MOST_TERMS = 8  # one after the other
+_IN_VAIN = 2  # terms by which held-out rows are predicted no better, after which none is tried
 _PINNED = 1e-12  # how well a parameter that is as drawn is known, [m], [rad] or [1]
 _TROUBLE = (PincalError, np.linalg.LinAlgError)  # what rows that do not determine a model raise
 
@@ -151,61 +155,66 @@ def choose(
     priors = {parameter.id: _PINNED for parameter in geometry.mechanism.parameters}
     drawn = geometry.with_options(priors=priors)
     name = "rigid alignment" if drawn.observation.external.names else "as drawn"
-    grown, candidates = _grown(fits, pairs, _MOST_TERMS)
-    models = [Model(name, fitted(drawn)), Model("geometry", fits), *grown]
-    slipped = [replace(slip, row=int(choosing_rows[slip.row])) for slip in _slips(models[1:])]
+    candidates = screen(fits, pairs)
+    models = [Model(name, fitted(drawn)), Model("geometry", fits)]
     groups = folds_of(data, calibration.options.folds or FOLDS, "turn")
-    errors, lost = np.full((len(models), len(groups), 4), np.nan), []
+    errors, paths, lost = np.full((2, len(groups), 4), np.nan), [], []
     for fold in range(int(groups.max()) + 1):
         geometry.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
-        held = groups == fold
+        path = _errors_along(models, groups != fold, pairs)
         try:
-            parts = _errors_of_fold(models, ~held, pairs)
+            errors[:, groups == fold] = list(islice(path, 2))
+            paths.append((groups == fold, path))
         except _TROUBLE as error:
             lost.append((fold, str(error)))
-            continue
-        parts += parts[-1:] * (len(models) - len(parts))  # a path that ended stays where it is
-        errors[:, held] = parts
+    growing = islice(_grown(fits, pairs, candidates), _MOST_TERMS)
+    for model in growing:
+        geometry.options.report(f"models on held-out rows, with {model.name}")
+        models.append(model)
+        errors = np.append(errors, errors[-1:], axis=0)  # a path that ended stays where it is
+        for held, path in paths:
+            errors[-1, held] = next(path, errors[-1, held])
+        best = int(np.argmin(np.nansum(errors[1:, :, 0], axis=1)))
+        if len(errors) - 2 - best >= _IN_VAIN:
+            break
+    slipped = _slips(chain(models[1:], growing))
+    slipped = [replace(slip, row=int(choosing_rows[slip.row])) for slip in slipped]
     models, chosen = _compared(models, errors, clusters(data))
     return models, chosen, candidates, slipped, lost
 
 
-def _grown(geometry: Fits, pairs: Sequence[Pair], most: int) -> tuple[list[Model], list[Candidate]]:
-    """Return models that grow by the likeliest term of a screen, and that of the geometry."""
-    fits, models = geometry, list[Model]()
+def _grown(
+    geometry: Fits, pairs: Sequence[Pair], candidates: Sequence[Candidate]
+) -> Iterator[Model]:
+    """Yield models that grow by the likeliest term of a screen, the first one the geometry's."""
+    fits, added = geometry, tuple[Pair, ...]()
     every = np.ones(len(fits.calibration.measurements), dtype=bool)
-    candidates = of_geometry = screen(fits, pairs)
-    while len(models) < most and (likely := [c for c in candidates if c.corrected < LEVEL]):
-        added = (*(models[-1].added if models else ()), likely[0].pair)
+    while likely := [candidate for candidate in candidates if candidate.corrected < LEVEL]:
+        added = (*added, likely[0].pair)
         longer = replace(extended(geometry.calibration, added), start=None)
         try:
             fits = converged(longer, "the search", fits, every)
         except _TROUBLE:  # what the rows do not determine
-            break
-        models.append(Model("{} {}".format(*added[-1]), fits, added, likely[0].corrected))
+            return
+        yield Model("{} {}".format(*added[-1]), fits, added, likely[0].corrected)
         candidates = screen(fits, pairs)
-    return models, of_geometry
 
 
-def _errors_of_fold(models: Sequence[Model], fitted: Mask, pairs: Sequence[Pair]) -> list[Array]:
-    """Return errors of held-out rows, as drawn and by geometry first; raises if these fail."""
+def _errors_along(models: Sequence[Model], fitted: Mask, pairs: Sequence[Pair]) -> Iterator[Array]:
+    """Yield errors of held-out rows as drawn and by geometry, raising if these fail; then on."""
     drawn, geometry = (
         converged(model.fits.calibration.rows(fitted), "the search", model.fits, fitted)
         for model in models[:2]
     )
-    grown, _ = _grown(geometry, pairs, len(models) - 2)
-    held, errors = held_rows(models[1].fits.calibration, ~fitted), list[Array]()
-    for model in (Model("", drawn), Model("", geometry), *grown):
-        try:
-            errors.append(model.errors(held))
-        except _TROUBLE:
-            if len(errors) < 2:
-                raise
-            break  # as a path that ended
-    return errors
+    held = held_rows(models[1].fits.calibration, ~fitted)
+    yield Model("", drawn).errors(held)
+    yield Model("", geometry).errors(held)
+    with suppress(*_TROUBLE):  # a path that ends there
+        for model in _grown(geometry, pairs, screen(geometry, pairs)):
+            yield model.errors(held)
 
 
-def _slips(models: Sequence[Model]) -> list[Slip]:
+def _slips(models: Iterable[Model]) -> list[Slip]:
     """Return what slipped or drifted, by rows of the measurements.
 
     By the geometry; while a term is likelier than the clearest slip, by the model with that term: a
@@ -220,7 +229,7 @@ def _slips(models: Sequence[Model]) -> list[Slip]:
             for fit in model.fits.fits
             for slip in slips(fit)
         ]
-    known = models[0].fits.calibration.noise.known
+    known = model.fits.calibration.noise.known
     return slipped if known else slipped[:1]  # or estimated with slips in it
 
 
