@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 628,
-    "calibration": 6_792,
+    "calibration": 6_795,
     "cli": 2_897,
     "design": 2_321,
     "estimation": 4_803,

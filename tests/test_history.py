@@ -122,6 +122,17 @@ def test_history_is_a_verdict_and_a_page(first: pincal.CalibrationResult, tmp_pa
     assert "no result" in run("history", tmp_path / "none").trouble
 
 
+def test_a_folder_of_an_impossible_date_is_named(
+    first: pincal.CalibrationResult, tmp_path: Path
+) -> None:
+    """It is not taken for today; a serial number of six digits is no date."""
+    for name in ("arm_554499", "2026-02-31"):
+        first.save(tmp_path / name)
+    outcome = run("history", tmp_path)
+    assert outcome.code == 2
+    assert "2026-02-31 is no date; rename the folder" in outcome.trouble
+
+
 def test_no_limit_is_shown_where_there_is_none(tmp_path: Path) -> None:
     """Calibrations of too few poses have an error and no limit, which is no infinite number."""
     for month in ("2026-01", "2026-02"):

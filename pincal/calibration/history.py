@@ -168,8 +168,11 @@ def history_of(paths: Sequence[Path]) -> History:
 
 
 def _date_of(folder: Path) -> date:
-    """Return the date in a folder's name, or when its result was written."""
-    for match in _DATE.finditer(folder.name):
+    """Return the date in a folder's name, or when its result was written; raise if it is none."""
+    matches = list(_DATE.finditer(folder.name))
+    for match in matches:
         with suppress(ValueError):
             return date(int(match[1]), int(match[2]), int(match[3] or 1))
+    if impossible := [match[0] for match in matches if "-" in match[0]]:  # else a serial number
+        raise MeasurementError(f"{folder.name}: {impossible[0]} is no date; rename the folder")
     return date.fromtimestamp((folder / RESULT).stat().st_mtime)
