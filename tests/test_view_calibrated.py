@@ -16,13 +16,21 @@ NOISE = pincal.Noise(1e-5, 1e-5)
 OFF = np.array([2e-3, -1e-3])
 
 
+def measured_about_home(
+    kind: str, error: float, noise: pincal.Noise, count: int
+) -> tuple[pincal.Mechanism, pincal.Measurements]:
+    """Return a mechanism, and measurements near home of a machine whose parameters are off."""
+    mechanism = pincal.load_mechanism(kind)
+    truth, home = pincal.disturb(mechanism, error, seed=1), mechanism.platform.home
+    far = 0.1 if kind == "6UPS" else 0.3
+    shift = np.random.default_rng(2).uniform(-far, far, (count, len(home)))
+    plan = pincal.Plan(home + shift)
+    return mechanism, pincal.simulate(mechanism, truth, plan, noise, 3).measurements
+
+
 def calibration() -> pincal.CalibrationResult:
     """Return the calibration of a 5R of which row 4 was measured off by OFF."""
-    mechanism = pincal.load_mechanism("5R")
-    truth = pincal.disturb(mechanism, 2e-3, seed=1)
-    shift = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))
-    plan = pincal.Plan(mechanism.platform.home + shift)
-    data = pincal.simulate(mechanism, truth, plan, NOISE, 3).measurements
+    mechanism, data = measured_about_home("5R", 2e-3, NOISE, 30)
     poses = data.poses.copy()
     poses[4] += OFF
     return pincal.calibrate(mechanism, replace(data, poses=poses), noise=NOISE, loss="huber")
@@ -74,11 +82,7 @@ def test_drawn_arrows_are_magnified(result: pincal.CalibrationResult, drawn: Sce
 
 def test_tracker_stands_where_the_frame_says() -> None:
     """A tracker at a place of its own frame is drawn where that is in the base frame."""
-    mechanism = pincal.load_mechanism("6UPS")
-    truth = pincal.disturb(mechanism, 1e-4, seed=1)
-    shift = np.random.default_rng(2).uniform(-0.1, 0.1, (30, 6))
-    plan = pincal.Plan(mechanism.platform.home + shift)
-    data = pincal.simulate(mechanism, truth, plan, pincal.Noise(1e-6, 1e-6), 3).measurements
+    mechanism, data = measured_about_home("6UPS", 1e-4, pincal.Noise(1e-6, 1e-6), 30)
     T = RigidTransform.from_components([1.5, 0.4, -0.2], Rotation.from_rotvec([0.02, 0.01, 0.7]))
     seen = T * RigidTransform.from_matrix(mechanism.platform.matrices(data.poses))
     moved = replace(data, poses=mechanism.platform.coordinates_of(seen))
@@ -104,11 +108,7 @@ def test_page_says_what_is_drawn(result: pincal.CalibrationResult) -> None:
 @pytest.mark.slow
 def test_positions_alone_have_arrows_too() -> None:
     """Where no orientation was measured, arrows are the residuals of x, y and z, in base axes."""
-    mechanism = pincal.load_mechanism("6UPS")
-    truth = pincal.disturb(mechanism, 5e-4, seed=1)
-    shift = np.random.default_rng(2).uniform(-0.1, 0.1, (60, 6))
-    plan = pincal.Plan(mechanism.platform.home + shift)
-    data = pincal.simulate(mechanism, truth, plan, pincal.Noise(5e-5, 5e-5), 3).measurements
+    mechanism, data = measured_about_home("6UPS", 5e-4, pincal.Noise(5e-5, 5e-5), 60)
     poses = data.poses.copy()
     poses[:, 3:] = np.nan
     target = pincal.Target((0.05, 0.0, 0.1), unknown=True)
@@ -158,11 +158,7 @@ class Camera:
 
 def seen_by_a_camera() -> tuple[pincal.CalibrationResult, np.ndarray]:
     """Return the calibration of a hexapod that a camera below it saw too, and where that stood."""
-    mechanism = pincal.load_mechanism("6UPS")
-    truth = pincal.disturb(mechanism, 1e-4, seed=1)
-    shift = np.random.default_rng(2).uniform(-0.1, 0.1, (30, 6))
-    plan = pincal.Plan(mechanism.platform.home + shift)
-    data = pincal.simulate(mechanism, truth, plan, pincal.Noise(1e-5, 1e-5), 3).measurements
+    mechanism, data = measured_about_home("6UPS", 1e-4, pincal.Noise(1e-5, 1e-5), 30)
     at = np.array([0.2, -0.1, -1.0])
     poses = mechanism.platform.matrices(data.poses)
     read = Camera(at).evaluate(poses, at, np.zeros((30, 2)))[0]
@@ -190,11 +186,7 @@ def test_a_camera_stands_where_it_was_found() -> None:
 @pytest.mark.slow
 def test_frame_of_the_measurements_is_where_it_was_found() -> None:
     """Where it was unknown, as of a camera's poses, it is drawn; an odd place is refused."""
-    mechanism = pincal.load_mechanism("5R")
-    truth = pincal.disturb(mechanism, 1e-3, seed=1)
-    shift = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))
-    plan = pincal.Plan(mechanism.platform.home + shift)
-    data = pincal.simulate(mechanism, truth, plan, NOISE, 3).measurements
+    mechanism, data = measured_about_home("5R", 1e-3, NOISE, 30)
     moved = replace(data, poses=data.poses + np.array([0.3, -0.2]))
     result = pincal.calibrate(mechanism, moved, noise=NOISE, setup=pincal.Setup(unknown_frame=True))
     ((name, T_base_station),) = stations(result)
@@ -205,6 +197,7 @@ def test_frame_of_the_measurements_is_where_it_was_found() -> None:
     camera = found.options.setup.instruments[0]
     camera.stand = lambda _: None  # type: ignore[attr-defined]  # the platform holds it
     assert not stations(found)
-    camera.stand = lambda _: np.ones((4, 4))  # type: ignore[attr-defined]
-    with pytest.raises(pincal.MeasurementError, match="instrument 'camera' stands at"):
-        stations(found)
+    for standing in (np.ones((4, 4)), np.ones(3)):
+        camera.stand = lambda _, T=standing: T  # type: ignore[attr-defined,misc]
+        with pytest.raises(pincal.MeasurementError, match="instrument 'camera' stands at"):
+            stations(found)

@@ -401,8 +401,7 @@ def stations(result: CalibrationResult) -> list[tuple[str, Array]]:
         if not hasattr(device, "stand") or (standing := device.stand(values)) is None:
             continue
         T = np.asarray(standing, dtype=np.float64)
-        R = T[:3, :3]
-        if T.shape != (4, 4) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
+        if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6):
             raise MeasurementError(
                 f"instrument {device.name!r} stands at an array of shape {T.shape}; expected "
                 "T_frame_instrument, a rigid transform of shape (4, 4)"
