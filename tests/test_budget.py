@@ -24,7 +24,7 @@ LINES = {
     "instruments": 1_561,
     "kinematics": 3_300,
     "model": 3_600,
-    "show": 4_613,
+    "show": 4_612,
     "symmetry": 1_374,
     "words": 988,
     "workspace": 1_502,

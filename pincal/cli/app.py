@@ -76,7 +76,7 @@ _TypedWrong: type[Exception] = typer.BadParameter.__mro__[2]  # click's, whose c
 _NAMED = inspect.Parameter.KEYWORD_ONLY
 
 
-TyperArgument.display_type_rich = lambda *_, **__: None  # type: ignore  # help names no types
+TyperArgument.display_type_rich = lambda *_, **__: None  # type: ignore[method-assign]  # help names no types
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
