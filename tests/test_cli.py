@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -806,11 +805,7 @@ def test_a_prior_may_have_a_unit_of_its_own_kind(work: Path) -> None:
 
 def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory that runs out is one message and exit code 2, no traceback."""
-
-    def greedy(**_: object) -> None:
-        np.empty(2**55)
-
-    monkeypatch.setattr(import_module("pincal.cli.app"), "app", greedy)
+    monkeypatch.setattr("pincal.cli.mechanisms.bundled", lambda: np.empty(2**55))
     outcome = run("mechanisms")
     assert outcome.code == 2
     assert "not enough memory" in outcome.trouble

@@ -17,7 +17,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import is_dataclass
-from functools import wraps
+from functools import cache, wraps
 from pathlib import Path
 from threading import current_thread, main_thread
 from typing import Annotated, Any, NoReturn
@@ -88,6 +88,7 @@ app = typer.Typer(
     "'pincal mechanisms') or a mechanism folder. Tables are CSV files whose headers carry units: "
     "'x [mm]', 'phi [deg]', 'leg_1 [rad]'. Every step on a simulated machine: 'pincal demo'.",
 )
+_commands = cache(lambda: typer.main.get_command(app))  # made once, though ``demo`` runs several
 
 
 @app.callback(invoke_without_command=True)
@@ -139,7 +140,7 @@ def run_step(*words: object) -> None:
     """Show a command as it would be typed, and run it within another."""
     _typed[:] = map(str, words)
     stdout.print(f"\n$ {typed()}", style="bold", soft_wrap=True)
-    if code := app(args=_typed, prog_name="pincal", standalone_mode=False):
+    if code := _commands()(args=_typed, prog_name="pincal", standalone_mode=False):
         raise typer.Exit(code)
 
 
@@ -218,7 +219,7 @@ def main(argv: list[str] | None = None) -> None:
     log.handlers, log.propagate = [_Remarks()], False
     stdout.failure = ""
     try:
-        code = app(args=argv, prog_name="pincal", standalone_mode=False) or 0
+        code = _commands()(args=argv, prog_name="pincal", standalone_mode=False) or 0
         if stdout.failure and not code:
             _leave(4, f"the answer could not be printed ({stdout.failure}); the work is done")
         sys.exit(code)

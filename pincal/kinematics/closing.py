@@ -171,8 +171,7 @@ def close(
     closed, exact = possible & (gap <= _CLOSED), possible & (gap <= _EXACT)
     if not exact.all():
         step = _newton_step(legs[0], closure)
-        last = (np.abs(step) <= _SMALL).all(axis=1)  # not at a singularity
-        stays = exact | (closed & ~last)
+        stays = exact | (closed & ~(np.abs(step) <= _SMALL).all(axis=1))  # or at a singularity
         joints = np.where(stays[:, None], joints, joints + step)
     searched = possible & ~closed
     if searched.any():
@@ -274,7 +273,7 @@ def started(
     if near is None and legs[0].leg.passive:
         near = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
         if not closed_form(legs[0]):  # a start may lie beyond a singularity, in another mode
-            closed = close(legs, matrices)
+            closed = close(legs, matrices, near=near)
             near = np.where(closed.reached[:, None], closed.joints, near)
     start = np.zeros((len(matrices), len(legs[0].leg.moving))) if near is None else near
 
