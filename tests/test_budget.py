@@ -15,18 +15,18 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 628,
-    "calibration": 6_795,
+    "calibration": 6_775,
     "cli": 2_898,
     "design": 2_321,
-    "estimation": 4_803,
+    "estimation": 4_729,
     "files": 3_364,
     "formats": 3_522,
     "instruments": 1_561,
-    "kinematics": 3_299,
-    "model": 3_600,
+    "kinematics": 3_310,
+    "model": 3_604,
     "show": 4_612,
     "symmetry": 1_374,
-    "words": 988,
+    "words": 982,
     "workspace": 1_502,
 }
 """Most lines of each room; a room that is not listed may have none."""

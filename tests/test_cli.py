@@ -458,7 +458,9 @@ BAD = {
     ),
     "readings-in-wrong-order": Case(CALIBRATE, ["leg_1", "order"], measured(legs_swapped)),
     "one-orientation": Case(f"{CALIBRATE} --strict", PHI, one_orientation),
-    "one-pose": Case(f"{CALIBRATE} --strict", ["leg_1", "rank", "gamma"], measured(one_pose)),
+    "one-pose": Case(
+        f"{CALIBRATE} --strict", ["leg_1", "together", "--strict"], measured(one_pose)
+    ),
     "rows-copied": Case(
         CALIBRATE, ["rows", "4", "21", "identical"], measured(only([*range(20), 3]))
     ),

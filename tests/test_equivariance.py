@@ -34,7 +34,6 @@ QUICK = (12, 31, 34, 65)
 BUNDLED = ("5R", "3RRR", "6UPS", "delta", "3PRR")
 SAME = 1e-5  # relative
 STEPS = 1e-4  # of a standard error; frames of legs alone are found to less
-DRAWN = frozenset({"curved"})  # by a few random draws of the parameters in their order
 BY_AXIS = frozenset(
     {"step", "model-lacks", "reference-moved"}
 )  # asked of x, y and z as they were measured
@@ -190,9 +189,7 @@ def other_order(case: Case, rng: Generator) -> Changed:
         sigma_readings=data.sigma_readings[:, order] if given else None,
     ).rows(np.arange(len(data))[::-1])  # a step in time stays one
     ids = same_ids(mechanism)
-    return Changed(
-        replace(case, mechanism=mechanism, data=data), ids, dict.fromkeys(ids, 1.0), DRAWN
-    )
+    return Changed(replace(case, mechanism=mechanism, data=data), ids, dict.fromkeys(ids, 1.0))
 
 
 def other_place(case: Case, rng: Generator) -> Changed:
@@ -205,7 +202,7 @@ def other_place(case: Case, rng: Generator) -> Changed:
     data = replace(case.data, poses=platform.from_matrices(matrices))
     ids = same_ids(mechanism)
     then = replace(case, mechanism=mechanism, data=data)
-    return Changed(then, ids, dict.fromkeys(ids, 1.0), DRAWN | BY_AXIS)
+    return Changed(then, ids, dict.fromkeys(ids, 1.0), BY_AXIS)
 
 
 def mirrored(case: Case, rng: Generator) -> Changed:
@@ -228,7 +225,7 @@ def mirrored(case: Case, rng: Generator) -> Changed:
     factors = {p.id: float(np.sign(there[p.id].nominal - p.nominal)) for p in mechanism.parameters}
     data = replace(case.data, poses=mirror.poses(mechanism.platform, case.data.poses))
     then = replace(case, mechanism=mechanism, data=data)
-    return Changed(then, same_ids(mechanism), factors, DRAWN)
+    return Changed(then, same_ids(mechanism), factors)
 
 
 Change = Callable[[Case, Generator], Changed]

@@ -225,15 +225,6 @@ def test_legs_alone_that_share_poses_have_fewer_freedoms() -> None:
     assert 2.0 < result.degrees_of_freedom / result.chi2_freedoms < 6.0
 
 
-@pytest.mark.parametrize(("noise", "curved"), [(1e-3, True), (5e-5, False)])
-def test_curved_problems_are_said_to_be(noise: float, *, curved: bool) -> None:
-    """24 poses of a 3-RRR: at 1 mm standard errors mean little, at 0.05 mm they hold."""
-    one = machine("3RRR", 24)
-    given = pincal.Noise(noise, noise, 0.0)
-    result = pincal.calibrate(one.nominal, drawn(one, given, 0, 0.0), noise=given)
-    assert ("curved" in {one.code for one in result.findings}) == curved
-
-
 @pytest.mark.parametrize("factor", [1e-3, 1e2])
 def test_size_changes_nothing(factor: float) -> None:
     """A 3-RRR of another size, noise not given: the same findings, the same numbers in σ."""

@@ -180,7 +180,6 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "noise-in-other-proportion": ({"ratios": {"positions": 1.4, "readings": 0.4}, "p_value": 1e-5}, (), (), "the proportions of the noise given are wrong (p = 1e-05): residuals show 140 % of it in positions, 40 % of it in readings"),
     "reference-moved": ({"pose": "reference", "quantity": "x", "size": 1.2e-4, "unit": "m", "p_value": 1e-5}, (0, 5, 11), (), "the pose 'reference', measured 3 times, moved: x by 0.12 mm from data row 1 to 12 (p = 1e-05)"),
     "model-lacks": ({"quantity": "reading of leg_1", "term": "angle", "p_value": 1e-5}, (), (), "reading of leg_1: residuals follow the reading itself (p = 1e-05), which the model does not include; likely an eccentric encoder disc, an uneven gear or lead screw"),
-    "curved": ({"curvature": 2.1}, (), (), "the problem is nonlinear within one standard error: the nonlinear part of the residuals' change is 2.1 of the linear part"),
     "rows-alike": ({"quantity": "measured x", "correlation": 0.62, "p_value": 1e-5}, (), (), "measured x: residuals of successive rows are correlated (0.62, p = 1e-05), and neither a step nor a steady drift explains it"),
     "step": ({"quantity": "reading of leg_2", "size": 1e-3, "unit": "rad", "p_value": 1e-5}, (29,), (), "reading of leg_2 is off by 1 mrad from data row 30 on (p = 1e-05)"),
     "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5, "lacking": False}, (4,), (), "1 of 60 rows does not fit the others: data row 5, by 7.0 σ (x off by 6.5 σ)"),

@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from pincal.calibration.fits import Fits
 from pincal.calibration.promise import UNEXPLAINED
-from pincal.estimation.fit import Fit, Outlier, curvature
+from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.courses import Score, scores
 from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.observability.residuals import together
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pincal.calibration.result_parts import IdentifiedParameter
 
 MANY_ROWS = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
-_CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
 _FEW_RESIDUALS = 1.5  # residuals a parameter, below which more poses are advised
 _EXPLAINS = 0.25  # of what χ² exceeds the noise given by, from which a course is its cause
 _REPEATS = 4  # times that a pose was measured, from which one asks whether it moved
@@ -35,7 +34,7 @@ _SPREAD = 0.5  # share of the run over which these must lie
 
 def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     """Return what to know first of a result, by it and by the residuals of its fits."""
-    held, lacks, curved, rows = fits.held, list[Finding](), list[Finding](), list[Finding]()
+    held, lacks, rows = fits.held, list[Finding](), list[Finding]()
     first, noise, far = list[Finding](), _noise(result), _far(result)
     if held is not None and (held.groups or held.weak):
         first.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
@@ -48,8 +47,6 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     if result.converged:
         noise = noise or _proportion(fits)
         lacks = lacking(fits)
-        bend = max((curvature(fit) for fit in fits.fits), default=0.0)
-        curved = [finding("curved", curvature=bend)] if bend > _CURVED else []
     outliers, total = result.outliers, len(result.measurements)
     wrong = [outlier.row for outlier in outliers]
     if len(wrong) > MANY_ROWS * total:
@@ -57,7 +54,7 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     elif wrong and result.loss == "none":
         values = values_of(outliers[0])
         rows = [finding("outliers", wrong, total=total, lacking=bool(lacks), **values)]
-    return (*first, *noise, *lacks, *far, *curved, *rows, *few)
+    return (*first, *noise, *lacks, *far, *rows, *few)
 
 
 def _few(result: CalibrationResult) -> list[Finding]:
@@ -210,7 +207,7 @@ def _far(result: CalibrationResult) -> list[Finding]:
         worst = parameters[int(np.argmax(std / plausible))]
         values = {"parameter": worst.id, "half": worst.half, "unit": worst.unit}
         ids = [parameters[i].id for i in weak]
-        return [finding("weakly-determined", parameters=ids, held=options.holds, **values)]
+        return [finding("weakly-determined", parameters=ids, held=options.latent, **values)]
     moved = np.array([p.change for p in parameters]) - result.calibration.shift
     surely = (np.abs(moved) - half) / plausible  # more than its uncertainty
     far = parameters[int(np.argmax(surely))]

@@ -38,6 +38,8 @@ from pincal.model.checks import ALIKE
 from pincal.model.leg import Leg
 from pincal.model.measurements import Noise
 from pincal.types import Array, Index, Mask
+from pincal.words.findings import WORDINGS, finding
+from pincal.words.wording import filled
 
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _HELD_MORE = 10.0  # times better determined are directions held next if a search does not converge
@@ -221,18 +223,20 @@ def _all_legs(
     start, gauge, first = _beginning(problem, begin, rows)
     problem = calibration.started(problem) if first is None else replace(problem, first=first)
     if gauge is None:
-        gauge = find_gauge(mechanism, problem, unknowns, strict=not options.holds)
+        gauge = find_gauge(mechanism, problem, unknowns)
     free = unknowns.held(gauge.constraints) if gauge.found else unknowns
     options.report("identifying all legs and poses")
-    known, former, held = calibration.noise.known, begin if rows is None else None, None
+    known, former = calibration.noise.known, begin if rows is None else None
     counts, progress = calibration.counts, options.progress
     system = System(problem, free, counts, known, max_evaluations=patience, progress=progress)
-    if options.holds:
-        fit, held = _fit_holding(calibration, system, start, former)
-    else:
-        begun = start or problem.start(free.start)
-        linear = begun if isinstance(begun, Linear) else problem.evaluate(begun)
-        fit = robust_fit(mechanism, system, loss_of(options.loss), linear, near=bool(start))
+    fit, held = _fit_holding(calibration, system, start, former)
+    if options.strict and held.directions.size:
+        weak = () if held.groups else held.weak
+        lost = finding("undetermined-held", groups=held.groups, weak=weak)
+        raise ObservabilityError(
+            f"{filled(WORDINGS[lost.code].says, lost)}. Measure poses that separate them, fix one "
+            "of them, or hold them (leave out --strict)"
+        )
     if former:  # whose search began where this one's would have
         fit = replace(fit, first=former.fits[0].first)
     return Fits(calibration, [fit], gauge, held)

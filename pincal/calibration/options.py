@@ -237,11 +237,6 @@ class Options:
         """Whether poses are unknowns, or taken as measured."""
         return self.method == "all-legs"
 
-    @property
-    def holds(self) -> bool:
-        """Whether what the measurements do not determine is held nearest to nominal."""
-        return self.latent and not self.strict
-
     def report(self, what: str) -> None:
         """Say what is being done."""
         if self.progress is not None:

@@ -305,31 +305,3 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
     return replace(
         problem, leg_block=replace(legs, sigma=readings), observation=observation.with_noise(noise)
     )
-
-
-_PAIRS = 3
-_BY_PRIORS = 0.5  # share of what determines a direction, from which it is the priors'
-
-
-def curvature(fit: Fit) -> float:
-    """Return the curved part of residuals over the straight one, at one standard error.
-
-    Rows do not see to second order that poses move, so poses are not solved at the ends. What
-    priors determine rather than rows is as wide as they are, and rows say nothing straight of it:
-    it stays.
-    """
-    problem, linear, used = fit.problem, fit.last, fit.weights > 0.0
-    size = np.sqrt(np.diagonal(fit.covariance))
-    size = np.where(size > 0.0, size, 1.0)  # so that draws are the same in any unit
-    values, axes = np.linalg.eigh(fit.covariance / np.outer(size, size))
-    root = size[:, None] * axes * np.sqrt(values.clip(0.0))
-    by_priors, axes = np.linalg.eigh((part := root / fit.unknowns.priors[:, None]).T @ part)
-    root = root @ (axes * (by_priors < _BY_PRIORS))
-    bent = straight = 0.0
-    for draw in np.random.default_rng(0).standard_normal((_PAIRS, len(size))):
-        step = root @ draw
-        end, expected = problem.evaluate(linear.moved(step)), linear.whitened(linear.after(step))
-        bent += float(((linear.whitened(end.conditions) - expected)[used] ** 2).sum())
-        straight += float(((expected - linear.residuals)[used] ** 2).sum())
-    relative = np.sqrt(bent / straight) if straight > 0.0 else 0.0
-    return float(relative) if np.isfinite(relative) else np.inf

@@ -205,7 +205,7 @@ def _turn_within_limits(leg: LegClosure, joints: Array) -> None:
         if joint.turns and joint.limited:
             low, high = joint.lower - ROUNDING, joint.upper + ROUNDING
             with np.errstate(invalid="ignore"):
-                turned = low + (positions - low) % (2 * np.pi)
+                turned = positions - 2 * np.pi * np.floor((positions - low) / (2 * np.pi))
                 outside = (positions < low) | (positions > high)
             np.copyto(positions, turned, where=outside & (turned <= high))
 

@@ -227,15 +227,27 @@ def with_loads(
 ) -> Array:
     """Return columns of influences with the loads of joints and links that were not given.
 
-    They are those of the machine as drawn, for a term depends on nothing that is identified, at
-    poses (N, dof), base frame; or where readings (N, n_readings) would take it, or home. Where an
-    arm stands follows from its readings alone, wherever it was measured.
+    See ``loads_at``; a term depends on nothing that is identified.
     """
     if not mechanism.weighs:
         return influences
     places = [mechanism.influences.index(name) for name in mechanism.loaded]
     if not np.isnan(influences[:, places]).any():
         return influences
+    loads, completed = loads_at(mechanism, readings, poses), influences.copy()
+    for name, place in zip(mechanism.loaded, places, strict=True):
+        column = completed[:, place]
+        completed[:, place] = np.where(np.isnan(column), loads[name], column)
+    return completed
+
+
+def loads_at(mechanism: Mechanism, readings: Array, poses: Array | None = None) -> dict[str, Array]:
+    """Return the loads of joints and links by column, (N,) each; NaN where a reading is missing.
+
+    They are those of the machine as drawn, at poses (N, dof), base frame; or where readings
+    (N, n_readings) would take it, or home. Where an arm stands follows from its readings alone,
+    wherever it was measured.
+    """
     drawing, known = mechanism.drawing, np.isfinite(readings).all(axis=1)
     legs = nominal_legs(drawing)
     matrices = placed_by_arm(legs, [drawing.known(i, readings[known]) for i in range(len(legs))])
@@ -248,12 +260,11 @@ def with_loads(
             near = np.where(search.converged[:, None], search.poses, drawing.platform.home)
             coordinates[lost] = near
         matrices = drawing.platform.matrices(coordinates[known])
-    loads = gravity_loads(drawing, readings[known], matrices)
-    completed = influences.copy()
-    for name, place in zip(mechanism.loaded, places, strict=True):
-        column, load = completed[known, place], loads[name.removeprefix(f"{LOAD}_")]
-        completed[known, place] = np.where(np.isnan(column), load, column)
-    return completed
+    loads = {}
+    for name, values in gravity_loads(drawing, readings[known], matrices).items():
+        loads[f"{LOAD}_{name}"] = column = np.full(len(readings), np.nan)
+        column[known] = values
+    return loads
 
 
 def _solve(

@@ -51,12 +51,6 @@ FINDINGS: dict[str, Wording] = {
         "Leave the noise options out, so that it is estimated by group",
         title="noise in another proportion",
     ),
-    "curved": Wording(
-        "the problem is nonlinear within one standard error: the nonlinear part of the residuals' "
-        "change is {curvature|g(2)} of the linear part",
-        "Measure more poses, or with less noise",
-        title="intervals of a nonlinear problem",
-    ),
     "terms-chosen": Wording(
         "{parameters|join(', ')} were added because they fit these measurements",
         severity="info",
@@ -148,8 +142,8 @@ FINDINGS: dict[str, Wording] = {
         "{parameters|length} parameters are weakly determined, {parameter}{% endif %} only to ± "
         "{half|g(2)}{unit|si}",
         "Measure poses that determine it better"
-        "{', hold it at nominal (leave out --strict)' if not held}, or give how well nominal "
-        "values are known (--priors)",
+        "{', hold it at nominal (leave out --method per-leg)' if not held}, or give how well "
+        "nominal values are known (--priors)",
     ),
     "undetermined-held": Wording(
         "these measurements do not determine all parameters: {groups|groups}"

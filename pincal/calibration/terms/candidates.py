@@ -17,7 +17,6 @@ from pincal.calibration.terms.kinds import (
     GRAVITY,
     GROWTH,
     HARMONICS,
-    OF_ONES_OWN,
     PERIOD,
     POLYNOMIAL,
     PULLEY,
@@ -29,8 +28,8 @@ from pincal.calibration.terms.kinds import (
     weighed,
 )
 from pincal.errors import MeasurementError
-from pincal.kinematics.configurations import planned_influences
-from pincal.kinematics.influences import by_name
+from pincal.kinematics.forward import loads_at
+from pincal.kinematics.influences import sides
 from pincal.model.checks import ROUNDING, listed
 from pincal.model.leg import Leg
 from pincal.model.measurements import Measurements
@@ -215,28 +214,14 @@ def with_influences(
     mechanism: Mechanism, measurements: Measurements, kinds: Iterable[Kind]
 ) -> Measurements:
     """Return measurements with the columns that terms of some kinds would depend on."""
-    asked_for = {OF_ONES_OWN[kind.name] for kind in kinds if kind.name in OF_ONES_OWN}
-    names = {APPROACH: mechanism.reading_names, LOAD: mechanism.load_names}
-    known = measurements.influences
-    asked_for -= set() if mechanism.weighs else {LOAD}
-    missing = sorted(
-        influence
-        for influence in asked_for
-        if any(f"{influence}_{name}" not in known for name in names[influence])
-    )
-    if not missing:
-        return measurements
-    legs = []
-    for leg in mechanism.drawing.legs:  # whose every joint, length and angle follows them
-        following_leg = leg
-        for name in missing:
-            for place in [*range(len(leg.sensors)), *(leg.placed if name == LOAD else ())]:
-                term = Term(f"{name}_{place}", Share(), of=name)
-                following_leg = _with_amplitude(following_leg, {place: term})
-        legs.append(following_leg)
-    following = replace(mechanism.drawing, legs=tuple(legs))
-    columns = planned_influences(following, replace(measurements, influences={}))
-    return replace(measurements, influences={**by_name(following, columns), **known})
+    names, columns, data = {kind.name for kind in kinds}, dict[str, Array](), measurements
+    if BACKLASH in names:
+        readings = zip(mechanism.reading_names, data.readings.T, strict=True)
+        columns |= {f"{APPROACH}_{name}": sides(values, data.runs) for name, values in readings}
+    loads = {f"{LOAD}_{name}" for name in mechanism.load_names}
+    if GRAVITY in names and mechanism.weighs and loads - set(data.influences):
+        columns |= loads_at(mechanism, data.readings, data.poses)
+    return replace(data, influences={**columns, **data.influences})
 
 
 def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurements:

@@ -18,14 +18,13 @@ from pincal.files.text import in_si
 from pincal.model.checks import LARGEST, listed
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.terms import APPROACH, LOAD, Load
+from pincal.model.terms import LOAD, Load
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
 PULLEY = "pulley"
 """The cable runs over a pulley that swivels about the upright: its radius is the amplitude."""
 PERIOD = "period"
 """Sine and cosine of a period that is given, such as ``period:5mm``; searched for if it is not."""
-OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
 _OF_READINGS = (HARMONICS, PERIOD, POLYNOMIAL, BACKLASH, PULLEY)
 _KINDS = (*_OF_READINGS, GRAVITY)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}

@@ -35,7 +35,6 @@ from pincal.model.platform import Platform
 from pincal.model.setup import Setup
 from pincal.types import Array
 from pincal.words.findings import finding
-from pincal.words.wording import groups_in_words
 
 _STILL = 1e-7  # motion of the platform below which it is none, of what each parameter would do
 
@@ -139,16 +138,11 @@ class Gauge(NamedTuple):
     """Motions of frames that these are (see ``split_frames``), shape (k, n_moved)."""
 
 
-def find_gauge(
-    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, *, strict: bool
-) -> Gauge:
-    """Return the gauge freedoms of a problem at its start.
-
-    If strict, what is lost but is no motion of frames is refused, else it is left.
+def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Gauge:
+    """Return the gauge freedoms of a problem at its start; what else is lost, is left.
 
     Raises:
-        ObservabilityError: what is measured leaves parameters undetermined at any poses, if
-            strict, or all of them; the message names them.
+        ObservabilityError: what is measured determines no parameter, at any poses.
     """
     platform, T = mechanism.platform, unknowns.map
     legs, J = jacobian_near(mechanism, problem, unknowns, generic=True)
@@ -164,24 +158,18 @@ def find_gauge(
     matrices = platform.matrices(legs.poses)
     scaled = problem.observation.setup.frameless
     _, inside, frames = split_frames(mechanism, matrices, gain, moved, scaled=scaled)
-    if inside.shape[1] and not strict and len(lost) < T.shape[1]:
+    if inside.shape[1] and len(lost) == T.shape[1]:
+        raise ObservabilityError(
+            "what is measured determines no parameter: readings that are no more than the "
+            "platform's freedoms fit any machine. Measure the platform, or a part of its pose, or "
+            "distances"
+        )
+    if inside.shape[1]:
         every_gain = np.pad(gain, ((0, 0), (0, 0), (0, len(T) - n_legs)))
         every = (directions @ T.T).T
         gauge, *_ = split_frames(mechanism, matrices, every_gain, every, scaled=scaled)
         directions = np.asarray(np.linalg.lstsq(T, gauge, rcond=None)[0].T)
         moved = gauge[:n_legs]
-    elif inside.shape[1]:
-        lacking = _undetermined(J, unknowns, len(lost), gain.reshape(-1, n_legs) @ T[:n_legs])
-        if inside.shape[1] == 1 and (gains := _scale_gains(mechanism, moved)):
-            lacking = (
-                "the scale. Lengths alone do not fix it where the gains of their sensors "
-                f"({', '.join(gains)}) are free: a machine twice as large reads the same. Fix the "
-                f"gains ({' '.join(f'--fixed {name}' for name in gains)}), or measure a position "
-                "or a distance"
-            )
-        raise ObservabilityError(
-            f"what is measured leaves parameters undetermined at any poses: {lacking}"
-        )
     outside, of_legs = problem.observation.external, plausible_changes(mechanism)
     U, shares, _ = np.linalg.svd(moved / of_legs[:, None], full_matrices=False)
     # frame and target, or camera and markers, may move together without the legs
@@ -198,40 +186,6 @@ def find_gauge(
     )
     nearest = (directions @ T.T * weights) @ T
     return Gauge(nearest, tuple(findings), moved if findings else None, frames)
-
-
-def _undetermined(J: Array, unknowns: Unknowns, n_lost: int, gain: Array) -> str:
-    """Return what is unobservable but for motions of frames, and what to do about it.
-
-    J and gain are how measurements and platform follow the free unknowns, shapes (m, n_free).
-    """
-    if n_lost == unknowns.n_free:
-        return (
-            "all of them, as readings that are no more than the platform's freedoms fit any "
-            "machine. Measure the platform, or a part of its pose, or distances"
-        )
-    groups, needed = identifiability(J, unknowns.free_labels).groups, []
-    for group in groups:
-        s = np.linalg.svd(gain[:, np.isin(unknowns.free_labels, group)], compute_uv=False)
-        needed += [group] if s[-1] > NEGLIGIBLE * s[0] else []  # the platform follows
-    needed = needed or [*groups]
-    return (
-        f"{groups_in_words(needed, most=len(needed))}. Measure more of the platform, or fix one of "
-        "them, or make it a constant in mechanism.yaml"
-    )
-
-
-def _scale_gains(mechanism: Mechanism, lost: Array) -> tuple[str, ...]:
-    """Return names of gains that grow or shrink with all lengths along directions lost, if any."""
-    parameters = mechanism.parameters
-    units = np.array([parameter.unit for parameter in parameters])
-    nominal = np.array([parameter.nominal for parameter in parameters])
-    Q = np.linalg.qr(lost / np.linalg.norm(lost, axis=0))[0]
-    for sign in (1.0, -1.0):
-        grown = np.where(units == "m", nominal, np.where(units == "1", sign * nominal, 0.0))
-        if np.linalg.norm(grown - Q @ (Q.T @ grown)) < NEGLIGIBLE * np.linalg.norm(grown):
-            return tuple(dict.fromkeys(p.name for p in parameters if p.unit == "1"))
-    return ()
 
 
 def _freedoms(frames: Array, mechanism: Mechanism, setup: Setup) -> list[Finding]:
