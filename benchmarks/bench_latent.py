@@ -31,15 +31,8 @@ NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
 def measured(count: int) -> tuple[pincal.Mechanism, pincal.Measurements]:
     """Return a hexapod and measurements of a disturbed one at random poses."""
     mechanism = pincal.load_mechanism("6UPS")
-    truth = pincal.disturb(mechanism, 2e-3, 1)
-    poses = pincal.sample_workspace(mechanism, count, 0)
-    readings = pincal.inverse(truth, poses).readings
-    rng, reached = np.random.default_rng(0), np.isfinite(readings).all(axis=1)
-    twists = 1e-4 * rng.standard_normal(poses.shape)
-    readings = readings + NOISE.reading * rng.standard_normal(readings.shape)
-    return mechanism, pincal.Measurements(
-        mechanism.platform.moved(poses, twists)[reached], readings=readings[reached]
-    )
+    truth, plan = pincal.disturb(mechanism, 2e-3, 1), pincal.sample_configurations(mechanism, count)
+    return mechanism, pincal.simulate(mechanism, truth, plan, NOISE).measurements
 
 
 def calibrated(mechanism: pincal.Mechanism, data: pincal.Measurements) -> pincal.CalibrationResult:

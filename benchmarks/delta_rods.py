@@ -41,11 +41,8 @@ def misses(origin: np.ndarray, turn: np.ndarray) -> np.ndarray:
 def left(error: float, seed: int) -> dict[tuple[str, str], np.ndarray]:
     """Return what models leave of a machine, as squares: see ``misses``, by model and noise."""
     six, one = pincal.load_mechanism("six_rod_delta"), pincal.load_mechanism("delta")
-    draw = np.random.default_rng(seed)
     sizes = {"m": error, "rad": error / ROD}
-    truth = six.with_parameters(
-        {p.id: p.nominal + sizes[p.unit] * draw.standard_normal() for p in six.parameters}
-    )
+    truth = pincal.disturb(six, {p.id: sizes[p.unit] for p in six.parameters}, seed)
     plan = pincal.sample_configurations(six, SEEN + UNSEEN, seed=seed)
     result = {}
     for noise, name in ((EXACT, "none"), (NOISE, "of a tracker")):

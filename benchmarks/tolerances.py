@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import motoman
+import real_machines
 from arms import ARMS, loaded
 
 import pincal
@@ -39,13 +40,11 @@ ROWS = (12, 16, 23, 40, 100)
 def drawn(name: str, sets: int) -> str:
     """Return a line of machines drawn at random."""
     drawing = pincal.load_mechanism(name)
+    off = {p.id: SIZES[p.unit] for p in drawing.parameters}
     sizes: dict[str, list[tuple[float, bool]]] = {unit: [] for unit in SIZES}
     within = []
     for seed in range(sets):
-        draw = np.random.default_rng(seed)
-        truth = drawing.with_parameters(
-            {p.id: p.nominal + SIZES[p.unit] * draw.standard_normal() for p in drawing.parameters}
-        )
+        truth = pincal.disturb(drawing, off, seed)
         plan = pincal.Plan(pincal.sample_workspace(drawing, POSES, seed=seed))
         data = pincal.simulate(name, truth, plan, NOISE, seed=seed).measurements
         result = pincal.calibrate(name, data, noise=NOISE, tolerance="auto")
@@ -69,24 +68,17 @@ def framed(name: str, sets: int) -> str:
     """Return a line of machines drawn at random and seen in an unknown frame."""
     drawing = loaded(name) if name in ARMS else pincal.load_mechanism(name)
     platform, cells = drawing.platform, []
+    sizes = {p.id: SIZES[p.unit] for p in drawing.parameters}
     for tolerance in (SIZES, "auto"):
         squares = []
         for seed in range(sets):
             draw = np.random.default_rng(seed)
-            truth = drawing.with_parameters(
-                {
-                    p.id: p.nominal + SIZES[p.unit] * draw.standard_normal()
-                    for p in drawing.parameters
-                }
-            )
+            truth = pincal.disturb(drawing, sizes, draw)
             frame, turn = np.eye(4), 0.5 * draw.standard_normal(3)
             frame[: platform.space, 3] = draw.standard_normal(platform.space)
             turn[:2] *= platform.space == 3
             frame[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
-            if drawing.by_readings:
-                plan = pincal.sample_configurations(drawing, POSES + 40, seed=seed)
-            else:
-                plan = pincal.Plan(pincal.sample_workspace(drawing, POSES + 40, seed=seed))
+            plan = pincal.sample_configurations(drawing, POSES + 40, seed=seed)
             data = pincal.simulate(drawing, truth, plan, NOISE, seed=seed).measurements
             seen, held_out = data.rows(np.arange(POSES)), data.rows(np.arange(POSES, len(data)))
             seen = replace(
@@ -129,10 +121,7 @@ def missed(side: str, count: int, seed: int, tolerance: object) -> float:
         )
     except pincal.ObservabilityError:
         return np.nan
-    frame = np.array([one.identified for one in result.external])
-    points = pincal.forward(result.identified, held_out.readings).poses[:, :3]
-    off = Rotation.from_rotvec(frame[3:]).apply(points) + frame[:3] - held_out.poses[:, :3]
-    return float(np.sqrt((off**2).sum(axis=1).mean()))
+    return real_machines.missed(result, held_out)
 
 
 def said(errors: list[float]) -> str:

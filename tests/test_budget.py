@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 628,
-    "calibration": 6_775,
+    "calibration": 6_774,
     "cli": 2_898,
-    "design": 2_321,
-    "estimation": 4_729,
+    "design": 2_336,
+    "estimation": 4_744,
     "files": 3_364,
     "formats": 3_522,
     "instruments": 1_561,

@@ -570,6 +570,8 @@ def test_a_forecast_counts_what_cameras_see_alone(scale: float) -> None:
     _, s, axes = np.linalg.svd(rows / sizes, full_matrices=False)
     rank = int((s > 1e-9 * s[0]).sum())
     assert rank == planned.rank.rank == len(sizes) - 12
+    chosen = pincal.select_configurations(robot, poses, 11, noise=noise, setup=setup, starts=1)
+    assert chosen.rank == planned.rank
     root = axes[:rank].T / s[:rank] / sizes[:, None]
     wanted = replace(planned, covariance=root[:n] @ root[:n].T)
     errors = [forecast.platform_error(poses).std for forecast in (planned, wanted)]

@@ -56,6 +56,19 @@ def test_noise_that_stays_is_not_fitted_again(name: str, monkeypatch: pytest.Mon
     assert result.reduced_chi2 == pytest.approx(1.0, abs=fits.SCALE_OFF)
 
 
+def test_few_rows_leave_no_group_without_noise() -> None:
+    """Fifteen rows to which orientations look exact do not make them so.
+
+    1e-4 rad are true; 3e-8 rad are a least noise where the estimate is zero.
+    """
+    nominal = pincal.load_mechanism("3RRR")
+    plan = pincal.sample_configurations(nominal, 55, seed=137)
+    truth, noise = pincal.disturb(nominal, 1e-3, seed=1137), pincal.Noise(1e-4, 1e-4, 0.0)
+    data = pincal.simulate(nominal, truth, plan, noise, seed=137).measurements
+    result = pincal.calibrate(nominal, data.rows(np.arange(15)))
+    assert result.noise.orientation > 1e-2 * result.noise.position / nominal.size
+
+
 def test_what_a_model_lacks_is_no_noise_of_sensors(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drives eccentric by ten times the noise: other poses are missed no farther than with noise.
 

@@ -28,9 +28,7 @@ def drawn(
 ) -> tuple[pincal.Mechanism, pincal.Measurements]:
     """Return a machine that differs from its drawing by so much, and measurements of it."""
     drawing = pincal.load_mechanism(kind)
-    draw = np.random.default_rng(seed)
-    values = {p.id: p.nominal + sizes[p.unit] * draw.standard_normal() for p in drawing.parameters}
-    truth = drawing.with_parameters(values)
+    truth = pincal.disturb(drawing, {p.id: sizes[p.unit] for p in drawing.parameters}, seed)
     poses = pincal.sample_workspace(drawing, count, seed=seed)
     return truth, pincal.simulate(kind, truth, pincal.Plan(poses), NOISE, seed=seed).measurements
 

@@ -344,7 +344,7 @@ class Session:
         )
         trial = replace(calibration, measurements=data, known_noise=None)
         parameters, external = self.mechanism.parameters.values, trial.observation.external.start
-        rows, excess = np.diag(1.0 / self.candidates.spread), 1.0
+        rows, excess = self.candidates.beforehand, 1.0
         if self._fits is not None and self.result is not None:
             fit, excess = self._fits.fits[0], self.result.excess
             parameters, external = fit.parameters, self._fits.external

@@ -27,7 +27,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import KINDS, Missed, Validation
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
-from pincal.estimation.components import Moments, predicted_squares
+from pincal.estimation.components import GROUPS, Moments, predicted_squares
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.problem import Linear
 from pincal.estimation.robust import as_one
@@ -44,7 +44,6 @@ MISSES = 10.0
 make worse."""
 Predicted = list[tuple[Fit, Index, Linear]]
 """Fits, rows held out of them, and residuals and derivatives at these."""
-_GROUPS = {"m": 0, "rad": 1, "px": 3}
 _DRAWN, _CHOSEN = 1000, 2000  # misses of each fold; choices of poses for an interval
 
 
@@ -266,7 +265,7 @@ def _limit(drawn: Sequence[Misses], target: tuple[str, str], variances: Array | 
     folds = [fold[target] for fold in drawn if target in fold]
     squares = np.concatenate([np.zeros((0, _DRAWN)), *folds]) ** 2
     if variances is not None:
-        squares *= variances[:, _GROUPS[target[1]]]
+        squares *= variances[:, GROUPS[target[1]]]
     squares = squares[np.isfinite(squares).all(axis=1)]
     return float(np.sqrt(np.quantile(squares.mean(axis=0), CONFIDENCE))) if len(squares) else np.inf
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,7 +35,6 @@ from pincal.estimation.observation import Observation
 from pincal.estimation.relations import at_touch
 from pincal.estimation.relations import touching as led_to_touch
 from pincal.estimation.rows import white_rows
-from pincal.estimation.unknowns import ExternalUnknowns
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
@@ -90,14 +90,25 @@ def _measured_names(
     return names
 
 
+class Information(NamedTuple):
+    """What configurations say of n parameters and external unknowns."""
+
+    rows: Array
+    """Free of the poses and whitened, shape (N, k, n): their Gram matrix is the information."""
+    priors: Array
+    """Rows of what is known of external unknowns beforehand, shape (m, n)."""
+    systematic: Array
+    """Errors of rows by what is off in all, one standard uncertainty each, shape (N, k, q)."""
+    unknowns: tuple[str, ...]
+    """Ids."""
+    measured: tuple[str, ...]
+    """Names of what is measured (see ``forecast``)."""
+
+
 def information_rows(
     mechanism: Mechanism, legs: Legs, noise: Noise, measured: Sequence[str] | None, setup: Setup
-) -> tuple[Array, Array, tuple[str, ...], tuple[str, ...]]:
+) -> Information:
     """Return what configurations say of parameters and external unknowns, pose by pose.
-
-    Rows free of the poses and whitened, shape (N, k, n): their Gram matrix is the information.
-    Errors of these by what is off in all rows, one standard uncertainty each, shape (N, k, q). Ids
-    of the unknowns. Names of what is measured (see ``forecast``).
 
     Raises:
         MeasurementError: unknown freedoms, or measurements without noise or equations.
@@ -140,7 +151,10 @@ def information_rows(
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
     errors = white(np.pad(systematic, ((0, 0), (n_rows, 0), (0, 0))))
-    return rows, errors, (*(p.id for p in mechanism.parameters), *observation.external.names), names
+    ids, external = [p.id for p in mechanism.parameters], observation.external
+    priors = np.eye(rows.shape[2])[len(ids) :] / external.priors[:, None]
+    known = priors[priors.any(axis=1)]
+    return Information(rows, known, errors, (*ids, *external.names), names)
 
 
 def null_directions(lengths: Array, axes: Array, rank: int, count: int) -> Array:
@@ -265,12 +279,10 @@ def forecast(
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan)
-    rows, systematic, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
+    information = information_rows(mechanism, legs, noise, measured, setup)
+    rows, priors, systematic, unknowns, names = information
     seen, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
-    external = ExternalUnknowns(mechanism.platform, setup, oriented=False)
-    sigmas = dict(zip(external.names, external.priors.tolist(), strict=True))
-    priors = np.diag([1.0 / sigmas.get(id_, np.inf) for id_ in unknowns])
-    flat = np.concatenate((seen, priors[priors.any(axis=1)]))
+    flat = np.concatenate((seen, priors))
     rank = identifiability(flat, unknowns)
     lengths, s, axes = scaled_axes(flat)
     root = axes[: rank.rank] / lengths / s[: rank.rank, None]  # of the pseudo-inverse

@@ -206,8 +206,8 @@ class Candidates:
     """Rows in reach that a fit follows, shape (N,)."""
     rows: Array
     """White rows of the plan, zero where not offered, shape (N, k, n)."""
-    spread: Array
-    """σ of what is known of each unknown beforehand, shape (n,)."""
+    beforehand: Array
+    """White rows of what is known beforehand, shape (m, n)."""
     workspace: Plan
     """Configurations over which errors are stated."""
 
@@ -227,12 +227,13 @@ class Candidates:
         """
         legs = legs_at(mechanism, touching(mechanism, plan, setup))
         frames = forecast(mechanism, plan, noise, measured, setup).frames
-        white, _, unknowns, _ = information_rows(mechanism, legs, noise, measured, setup)
+        white, known, _, unknowns, _ = information_rows(mechanism, legs, noise, measured, setup)
         self.offered = legs.reached & ~plan.verifying
         self.rows = np.zeros((len(plan), *white.shape[1:]))
         self.rows[legs.reached] = white * self.offered[legs.reached, None, None]
         far = _FAR * max(mechanism.size, 1.0)
-        self.spread = np.array([priors.get(name, far) for name in unknowns])
+        spread = np.array([priors.get(name, far) for name in unknowns])
+        self.beforehand = np.concatenate((np.diag(1.0 / spread), known))
         self.workspace = sample_configurations(mechanism, _WORKSPACE, _SEED)
         legs = legs_at(mechanism, self.workspace)
         gain, units = seen_of(mechanism, legs.poses, legs.gain, frames)
@@ -245,7 +246,8 @@ class Candidates:
     def information(self, measured: Sequence[int]) -> Array:
         """Return M of priors and rows of the plan, shape (n, n)."""
         flat = self.rows[list(measured)].reshape(-1, self.rows.shape[2])
-        return np.diag(self.spread**-2.0) + flat.T @ flat
+        rows = np.concatenate((self.beforehand, flat))
+        return np.asarray(rows.T @ rows)
 
     @one_thread()
     def limit(self, measured: Sequence[int]) -> float:

@@ -363,12 +363,13 @@ def select_configurations(
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan, "the candidates")
-    white, _, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
-    flat = white.reshape(-1, white.shape[2])
+    white, priors, _, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
+    flat = np.concatenate((white.reshape(-1, white.shape[2]), priors))
     identifiable = identifiability(flat, unknowns)
     rank, (lengths, _, axes) = identifiable.rank, scaled_axes(flat)
-    blocks = (white / lengths) @ axes[:rank].T
-    _check_equations(count, blocks.shape[1], rank, "unknowns that can be identified")
+    _check_equations(count, white.shape[1], rank - len(priors), "unknowns that can be identified")
+    shares = np.broadcast_to(priors / np.sqrt(count), (len(white), *priors.shape))
+    blocks = (np.concatenate((white, shares), axis=1) / lengths) @ axes[:rank].T
     criterion = Criterion()
     if goal == "platform":
         n = legs.gain.shape[2]

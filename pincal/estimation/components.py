@@ -10,7 +10,7 @@ covariance is 2 F⁻¹. How far machines differ from their drawing is found by t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,13 +22,15 @@ from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.types import Array, Index, Mask
 
-_R = 2  # readings, behind positions and orientations; pixels behind them where cameras see
+GROUPS = {"m": 0, "rad": 1, "px": 3}
+"""Places of groups by the unit of what was measured: pixels are the last, where cameras see."""
+_R = 2  # of readings
 _BEFOREHAND = 1.0  # spread of variances about what is assumed of them, over the largest
 _TIED = 1e-6  # the same where that is not to be left
 _SENSOR = 0.25  # how far a sensor's own noise moves the platform, over the noise of that
 _SENSORS_ONLY = 3.0  # the same from which noise of readings is rather what the model lacks
 _LARGEST_STEP = 10.0  # factor by which a variance changes at once, at most
-_SMALLEST = 1e-3  # standard deviation over the largest, each over its unit, if it is not exact
+_SMALLEST = 1e-3  # standard deviation of readings over the largest, each over its unit, not exact
 _ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
 
 Tie = tuple[int, float]  # the group of what was measured, and how much of its noise a sensor has
@@ -84,6 +86,19 @@ class Moments:
 
         R = np.linalg.cholesky(scaled).T
         return np.asarray(size * nnls(R, np.linalg.solve(R.T, right))[0])
+
+    def off_zero(self, *, exact: bool) -> Moments:
+        """Return moments by which no variance is zero; that of readings if these may be exact.
+
+        The likelihood is taken times each standard deviation over that of all, expanded here: few
+        rows may leave a group no variance, and it is no less noisy for that (Y. Chung et al.,
+        Psychometrika 2013).
+        """
+        noisy = np.diagonal(self.F) > 0.0
+        noisy[_R] &= not exact
+        shares = self.F.sum(axis=1) / max(self.F.sum(), 1.0)  # of all freedoms
+        pulled = self.scale * (2.0 * noisy - noisy.sum() * shares)
+        return replace(self, F=self.F + np.diag(noisy), q=self.q + pulled)
 
     def freedoms(self, covariance: Array) -> tuple[Array, ...]:
         """Return of each fit the degrees of freedom of the unknowns' variances, shape (n,).
@@ -171,11 +186,11 @@ def estimated_noise(
     _, ratio = _relative(noise, unit)
     least = np.full(len(ratio), moments.scale / _LARGEST_STEP)
     least[_R] *= noise.reading > 0.0  # of a size that is not known yet
-    variance = np.clip(moments.variances(assumed), least, moments.scale * _LARGEST_STEP)
-    floor = _SMALLEST**2 * (ratio * variance).max() / ratio
-    noisy = np.ones(len(ratio), dtype=bool)
-    noisy[_R] = not exact or bool(variance[_R] > floor[_R])
-    factors = np.append(np.sqrt(np.where(noisy, np.maximum(variance, floor), 0.0)), 0.0)
+    variance = moments.off_zero(exact=exact).variances(assumed)
+    variance = np.clip(variance, least, moments.scale * _LARGEST_STEP)
+    if exact and ratio[_R] * variance[_R] <= _SMALLEST**2 * (ratio * variance).max():
+        variance[_R] = 0.0
+    factors = np.append(np.sqrt(variance), 0.0)
     sizes = (noise.position, noise.orientation, reading, noise.pixel)
     return Noise(*(float(size * factor) for size, factor in zip(sizes, factors, strict=False)))
 
@@ -193,7 +208,7 @@ def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
     if fit.system.known or not problem.latent:
         return None
     units, active = np.array(problem.observation.units), problem.active[:, n_legs:]
-    shown = {unit: (units == unit) & active[fit.good].any(axis=0) for unit in ("m", "rad", "px")}
+    shown = {unit: (units == unit) & active[fit.good].any(axis=0) for unit in GROUPS}
     unit = next((unit for unit, columns in shown.items() if columns.any()), None)
     if unit is None:
         return None
@@ -206,7 +221,7 @@ def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
         moving = np.array(problem.platform.units) == unit
         squares = np.median((moved**2).sum(axis=2), axis=0)[moving]
     lever = float(np.sqrt(np.mean(squares))) if np.size(squares) else 0.0
-    group = {"m": 0, "rad": 1, "px": 3}[unit]
+    group = GROUPS[unit]
     largest_ratio = (1.0 + _TIED) * _SENSOR if lacks else _SENSORS_ONLY
     far = lever * noise.reading > largest_ratio * (*vars(noise).values(),)[group]
     return (group, _SENSOR / lever) if far else None
@@ -234,7 +249,7 @@ def _of_groups(linear: Linear, reading: float) -> Array:
     by_reading[~problem.active] = 0.0
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     units = np.array([*problem.quantities.values()][n_readings:], dtype=str)
-    of_groups = [W[:, :, units == unit] for unit in ("m", "rad", "px")]
+    of_groups = [W[:, :, units == unit] for unit in GROUPS]
     of_groups.insert(_R, linear.white(reading * by_reading))
     groups = of_groups if "px" in units else of_groups[:3]
     return np.stack([part @ part.transpose(0, 2, 1) for part in groups])
