@@ -449,6 +449,8 @@ def pinocchio_gap(mechanism: Mechanism, plan: pincal.Plan) -> float:
                     met = data.oMf[model.getFrameId(links[leg.index(end.meets) + 1])].homogeneous
                 else:
                     met = T_platform @ end.meets.placement.origin()
+                    if end.closes == "point":
+                        met[:3, :3] = T_platform[:3, :3]
                 apart = np.linalg.inv(met) @ tip
                 turn = Rotation.from_matrix(apart[:3, :3]).as_rotvec()
                 rows = list(mechanism.platform.closing(end))

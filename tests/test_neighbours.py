@@ -17,7 +17,9 @@ from neighbours import (
     ARM,
     FIVE_BAR,
     FIVE_BAR_YAML,
+    LIMIT,
     MJCF,
+    ankle,
     five_bar,
     five_bar_angles,
     hexapod,
@@ -866,7 +868,32 @@ def test_an_open_loop_is_said(tmp_path: Path) -> None:
     assert f"loops closed by {tmp_path / 'open' / 'robot.yaml'}" in outcome.out
     closed = done("import", five_bar(tmp_path / "closed"), "-o", tmp_path / "bar2")
     assert "warning" not in closed.err
-    assert "the loops close as drawn" in closed.out
+
+
+def test_loops_close_within_limits(tmp_path: Path) -> None:
+    """A loop that is drawn beyond a joint's limits is closed within them."""
+    limited = LIMIT.replace("<limit", '<limit lower="0.5" upper="1.5"')
+    joints = [one.replace(LIMIT, limited) if '"free1"' in one else one for one in FIVE_BAR]
+    file = written(tmp_path, urdf("fivebar", joints, "base"), FIVE_BAR_YAML)
+    outcome = done("import", file, "-o", tmp_path / "bar")
+    mechanism = pincal.load_mechanism(tmp_path / "bar")
+    homes = {joint.name: joint.home for leg in mechanism.legs for joint in leg.moving}
+    assert 0.5 <= homes["free1"] <= 1.5
+    assert "outside its limits" not in outcome.err
+
+
+def test_balls_and_drives_by_parts_of_names(tmp_path: Path) -> None:
+    """YAML of other years says the same machine; joints that a URDF has not are left out, said."""
+    file = ankle(tmp_path)
+    beside = file.with_name("robot.yaml")
+    plain, text = read(file), beside.read_text()
+    balls = text[text.index("joint_name") : text.index("platform:")]
+    beside.write_text(text.replace(balls, "rotule_name: ball\n").replace("[mot]", "mot"))
+    assert read(file).legs == plain.legs
+    beside.write_text(text.replace("[ball0", "[ball7, ball0").replace("[SPH", "[CARDAN, SPH"))
+    assert read(file).legs == plain.legs
+    outcome = done("import", file, "-o", tmp_path / "ankle")
+    assert "'joint_name' has 'ball7', no joint of" in outcome.err
 
 
 def test_a_loop_that_cannot_close_is_refused(tmp_path: Path) -> None:

@@ -166,23 +166,19 @@ def _import_tree(
     """Write the mechanism of a URDF or MJCF file to a folder, and say what was understood."""
     if options.tip is not None:
         tree = read_urdf(file) if form == "urdf" else mjcf.read_mjcf(file)
-        mechanism, remarks = arm.serial_arm(tree, options.tip, options.base), list[str]()
+        mechanism, remarks = arm.serial_arm(tree, options.tip, options.base), tuple[str, ...]()
     else:
         yaml = None if form == "mjcf" else options.loops or users_urdf.loops_beside(file)
         tree = mjcf.read_mjcf(file) if form == "mjcf" else users_urdf.read_loops(file, yaml)
         tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
-        mechanism, left_out = closed.closed_mechanism(tree, options.platform, options.base)
+        mechanism, remarks = closed.closed_mechanism(tree, options.platform, options.base)
         if yaml is not None:
             say(f"loops closed by {yaml}")
-        closing, moved = closed.closing_in_words(tree, mechanism)
-        if not moved:
-            say(closing)
-        remarks = [closing] * moved + [*left_out]
     drawn = {edge.joint.name for edge in tree.edges}
     unused = drawn - {joint.name for leg in mechanism.legs for joint in leg.joints}
-    remarks += [text for name, text in tree.remarks.items() if name not in unused]
+    remarks += tuple(text for name, text in tree.remarks.items() if name not in unused)
     if (size := mechanism.size) > _LARGE:
-        remarks += [f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?"]
+        remarks += (f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?",)
     save_mechanism(replace(mechanism, name=named_after(output)), output, force=options.force)
     say(*mechanism_lines(mechanism))
     return remarks

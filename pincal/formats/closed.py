@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from os.path import commonprefix
@@ -61,23 +61,17 @@ def slack_of(text: str) -> float:
     return _NUMBERS * cut
 
 
-def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
-    """Return how far loops are open as drawn and joints moved, and whether beyond rounding."""
-    drawn = {edge.joint.name: edge.joint.home for edge in tree.edges}
-    legs = [
-        leg.with_home([drawn.get(joint.name, 0.0) for joint in leg.moving])
-        for leg in mechanism.legs
-    ]
-    gap = opening(legs, mechanism.platform)
-    if gap <= max(ALIKE, tree.slack) * mechanism.size:
-        return f"the loops close as drawn, within {gap:.2g} m", False
+def _joints_moved(drawn: Sequence[Leg], mechanism: Mechanism, slack: float) -> Iterator[str]:
+    """Yield a sentence on how far loops are open as drawn and joints moved, if beyond rounding."""
+    gap = opening(drawn, mechanism.platform)
+    homes = {joint.name: joint.home for leg in drawn for joint in leg.moving}
     moved: dict[str, tuple[float, str]] = {}
     for joint in (joint for leg in mechanism.legs for joint in leg.moving):
-        if joint.name in drawn:
-            unit, way = "rad" if joint.turns else "m", abs(joint.home - drawn[joint.name])
-            moved[unit] = max(moved.get(unit, (0.0, "")), (way, joint.name))
+        unit, way = "rad" if joint.turns else "m", abs(joint.home - homes[joint.name])
+        moved[unit] = max(moved.get(unit, (0.0, "")), (way, joint.name))
     far = " and ".join(f"{way:.3g} {unit} ({name})" for unit, (way, name) in moved.items())
-    return f"as drawn the loops are open by {gap:.3g} m: joints were moved by up to {far}", True
+    if gap > max(ALIKE, slack) * mechanism.size:
+        yield f"as drawn the loops are open by {gap:.3g} m: joints were moved by up to {far}"
 
 
 _FREEDOMS = {(2, 0): "point", (2, 1): "planar", (3, 0): "translational", (3, 3): "spatial"}
@@ -87,7 +81,7 @@ _SPATIAL, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "rz")
 def closed_mechanism(
     tree: Tree, platform: str | None = None, base: str | None = None
 ) -> tuple[Mechanism, tuple[str, ...]]:
-    """Return the mechanism of a tree with loops, and sentences on what was left out of it.
+    """Return the mechanism of a tree with loops, and sentences on what is not as it is drawn.
 
     Its platform is a link, that in which the legs meet if not given; its base another one, or the
     root.
@@ -106,11 +100,10 @@ def closed_mechanism(
         kind, bare = _legs(tree, limbs, platform, normal)
         if normal is not None and abs(normal[2]) < 1.0 - EXACT:
             remarks.append("planar, but not across z: the base frame was turned to have z across")
-        remarks += _held(tree, bare)
         free = Platform.at_origin(kind)
         axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
         closed, placed = assembled(bare, free, tree.slack)
-        remarks += _outside_limits(closed)
+        remarks += _joint_remarks(tree, closed)
         legs = []
         for leg, of_joints in zip(closed, _stems(closed), strict=True):
             stems = (*of_joints, "tip")
@@ -120,17 +113,8 @@ def closed_mechanism(
             held = set(every.parameter_names).difference(distinct)
             legs.append(displaced(leg, stems, axes, held=held))
         name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-        return Mechanism(name, placed, tuple(legs), f"From {tree.source}."), tuple(remarks)
-
-
-def _outside_limits(legs: Sequence[Leg]) -> list[str]:
-    """Return a sentence for each joint that closes the loops outside its limits."""
-    return [
-        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
-        for leg in legs
-        for joint in leg.moving
-        if joint.limited and not joint.lower <= joint.home <= joint.upper
-    ]
+        mechanism = Mechanism(name, placed, tuple(legs), f"From {tree.source}.")
+        return mechanism, (*_joints_moved(bare, mechanism, tree.slack), *remarks)
 
 
 def _legs(
@@ -257,16 +241,18 @@ def _named(name: str, leg: Leg, shared: Counter[str]) -> Leg:
     )
 
 
-def _held(tree: Tree, legs: Sequence[Leg]) -> list[str]:
-    """Return a sentence for each joint that a leg holds, as it moves no end."""
+def _joint_remarks(tree: Tree, legs: Sequence[Leg]) -> Iterator[str]:
+    """Yield a sentence for each joint that is held, as it moves no end, or outside its limits."""
     moving = {edge.joint.name for edge in tree.edges if edge.joint.kind != "fixed"}
     moving |= {f"{edge.joint.name}_{axis}" for edge in tree.loops for axis in "xyz"}
-    return [
-        f"{leg.name}: {joint.name!r} moves no end of it: held"
-        for leg in legs
-        for joint in leg.joints
-        if joint.kind == "fixed" and joint.name in moving.difference(e.tip for e in leg.every_end)
-    ]
+    for leg in legs:
+        tips = {end.tip for end in leg.every_end}
+        for joint in leg.joints:
+            named = f"{leg.name}: {joint.name!r}"
+            if joint.kind == "fixed" and joint.name in moving - tips:
+                yield f"{named} moves no end of it: held"
+            if joint.limited and not joint.lower <= joint.home <= joint.upper:
+                yield f"{named} closes the loops at {joint.home:.6g}, outside its limits"
 
 
 def _leg_names(legs: Sequence[Leg]) -> list[str]:

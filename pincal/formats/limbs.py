@@ -54,10 +54,11 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
     base = graph.body[tree.root]
     platform = platform or graph.outermost(base)
     loose = graph.prune({base} | ({graph.body[platform]} if platform else set()))
+    platform = platform or graph.outermost(base)
     if not graph.bonds:
         raise MechanismError(
-            "its joints form no loop; list what closes the loops (closed_loop of a YAML file, "
-            "<equality> of MJCF), or import a serial arm with --tip LINK"
+            "its joints form no loop; list what closes the loops (closed_loop of a YAML file, see "
+            "--loops; <equality> of MJCF), or import a serial arm with --tip LINK"
         )
     goal = graph.platform(base, platform)
     limbs = [Limb([graph.round()], [])] if goal == base else graph.limbs(base, goal)
@@ -70,7 +71,6 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
                 "--platform)?"
             )
         graph.bonds = bonds
-    graph.check_leaders()
     tree.check_joints(sorted(bond.joint.name for bond in bonds))
     return limbs, platform or (None if goal == base else goal), [*loose, *lost]
 
@@ -109,14 +109,15 @@ class _Graph:
     def outermost(self, base: str) -> str | None:
         """Return the link ``platform``, or the one that carries and closes nothing: a foot, a tool.
 
-        None if there are several, or it is fixed to the base.
+        Of bodies with bonds; None if there are several, or it is fixed to the base.
         """
         used = {edge.parent for edge in self.tree.edges}
         used |= {name for edge in self.tree.loops for name in (edge.parent, edge.child)}
-        ends = [link for link in self.tree.links if link not in used and self.body[link] != base]
+        moved = self.degrees().keys() - {base}
+        ends = [link for link in self.tree.links if link not in used and self.body[link] in moved]
         if self.body.get("platform", base) != base:
             return "platform"
-        return ends[0] if len(ends) == 1 else None
+        return ends[0] if len({self.body[link] for link in ends}) == 1 else None
 
     def prune(self, keep: set[str]) -> list[str]:
         """Drop the bonds that lie in no loop, and return their names."""
@@ -126,14 +127,6 @@ class _Graph:
             loose += [bond.joint.name for bond in hanging]
             self.bonds = [bond for bond in self.bonds if bond not in hanging]
         return loose
-
-    def check_leaders(self) -> None:
-        """Raise if a joint of a loop follows one that is in none."""
-        names = {bond.joint.name for bond in self.bonds}
-        for joint in (bond.joint for bond in self.bonds if bond.joint.leader.joint not in names):
-            raise MechanismError(
-                f"joint {joint.name!r} follows {joint.leader.joint!r}, which is no joint of a loop"
-            )
 
     def platform(self, base: str, link: str | None) -> str:
         """Return the platform's body: where ways meet, or a four-bar's coupler, or else the base.
@@ -247,7 +240,7 @@ def leg_of(tree: Tree, limb: Limb, platform: str, normal: Array | None) -> Leg:
         way = [*way, Joint("tip", "fixed")]
     _hang(joints, way)
     sensors = _sensors(tree, joints)
-    return Leg("limb", tuple(joints), sensors, (), met, closes, ends=tuple(ends))
+    return Leg("limb", tuple(joints), sensors, (), met, closes, ends=tuple(ends), settled=True)
 
 
 def _sensors(tree: Tree, joints: Iterable[Joint]) -> tuple[Sensor, ...]:

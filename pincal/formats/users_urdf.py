@@ -3,9 +3,10 @@
 The YAML file beside it follows the convention of example-parallel-robots: ``closed_loop`` lists
 pairs of frames that meet, ``type`` says of each whether their origins do ('3d') or the whole frames
 ('6d', as where nothing is said), ``name_mot`` names the motors, whole or in part; ``joint_name``
-and ``joint_type`` replace joints by others (SPHERICAL, FIXED, UJOINT_XY, UJOINT_YZ, UJOINT_ZX). Two
-keys are pincal's own: ``platform``, a link, and ``home``, joint positions in the configuration that
-is drawn. Source: github.com/Gepetto/example-parallel-robots, ``loader_tools.py``.
+and ``joint_type`` replace joints by others (SPHERICAL, FIXED, CARDAN, UJOINT_XY and such), and
+``rotule_name`` those with it in their names by balls. Two keys are pincal's own: ``platform``, a
+link, and ``home``, joint positions in the configuration that is drawn.
+Source: github.com/Gepetto/example-parallel-robots, ``loader_tools.py``.
 
 A joint of the mechanism and the joint of the URDF with its name sit on the same link if the joints
 before them are the same: then the calibrated placement is the new origin. What the calibration
@@ -18,13 +19,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 from xml.parsers import expat
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.errors import FileError, MechanismError
+from pincal.errors import MechanismError
 from pincal.files.text import read_xml
 from pincal.files.tree import Edge, Tree, at_home
 from pincal.files.urdf import read_urdf
@@ -39,23 +41,17 @@ from pincal.types import Array
 
 _TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")  # attributes may hold '>'
 Edges = Mapping[str, Edge]
-_TURNED = {"SPHERICAL": "xyz", "FIXED": "", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
+_TURNED = {"SPHERICAL": "xyz", "FIXED": "", "CARDAN": "xy"} | {
+    f"UJOINT_{axes.upper()}": axes for axes in map("".join, permutations("xyz", 2))
+}
 #: Keys that the YAML file may have; others (rotor inertias and such) do not matter here.
-_LOOP_KEYS = ("closed_loop", "type", "joint_name", "joint_type", "platform", "home")
+_LOOP_KEYS = ("closed_loop", "type", "joint_name", "joint_type", "rotule_name", "platform", "home")
 
 
 def loops_beside(file: Path) -> Path | None:
-    """Return the YAML file that belongs to a URDF; None if this closes its loops itself."""
+    """Return the YAML file that belongs to a URDF, if there is one."""
     places = (file.with_suffix(".yaml"), file.parent / "robot.yaml")
-    for place in places:
-        if place.is_file():
-            return place
-    if read_closed(file).loops:
-        return None
-    raise FileError(
-        f"no {' or '.join(dict.fromkeys(place.name for place in places))} beside {file} says what "
-        "closes its loops; name one with --loops, or import a serial arm with --tip LINK"
-    )
+    return next(filter(Path.is_file, places), None)
 
 
 def read_loops(urdf: Path, loops: Path | None) -> Tree:
@@ -63,55 +59,61 @@ def read_loops(urdf: Path, loops: Path | None) -> Tree:
     if loops is None:
         return read_closed(urdf)
     keys = read_yaml(loops, MechanismError).keys(("name_mot",), _LOOP_KEYS, others=True)
-    lists = {key: keys[key].items() if key in keys else [] for key in (*_LOOP_KEYS[:4], "name_mot")}
-    for first, second in (("joint_name", "joint_type"), ("closed_loop", "type")):
-        counts = len(lists[first]), len(lists[second])
-        if counts[0] != counts[1] and (counts[1] or second != "type"):
-            raise MechanismError(
-                f"{loops}: {counts[0]} entries of {first!r}, but {counts[1]} of {second!r}; each "
-                "needs one"
-            )
-
-    def joint(key: str, name: str, entry: Entry, known: Sequence[str]) -> str:
-        if name not in known:
-            entry.fail(f"{key!r} has {name!r}, no joint of {urdf}; it has {listed(known)}")
-        return name
-
+    lists = {key: keys[key].items() if key in keys else [] for key in _LOOP_KEYS[:4]}
     drawn = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
-    replaced = {
-        joint("joint_name", entry.text(), entry, drawn): _TURNED[kind.choice(*_TURNED)]
-        for entry, kind in zip(lists["joint_name"], lists["joint_type"], strict=True)
+    ball = keys["rotule_name"].text() if "rotule_name" in keys else None
+    replaced = {name: "xyz" for name in drawn if ball and ball in name} | {
+        entry.text(): _TURNED[kind.choice(*_TURNED)]
+        for entry, kind in _pairs(lists, "joint_name", "joint_type", loops)
     }
     tree = read_closed(urdf, replaced)
-    joints = [edge.joint.name for edge in tree.edges]
-    homed = keys["home"].pairs() if "home" in keys else {}
-    home = {joint("home", name, part, joints): part.number() for name, part in homed.items()}
+    home = keys["home"].mapped(Entry.number) if "home" in keys else {}
+    joints, remarks = [edge.joint.name for edge in tree.edges], dict(tree.remarks)
+    for name in home.keys() - set(joints):
+        keys["home"].fail(f"'home' has {name!r}, no joint of {urdf}; it has {listed(joints)}")
+    for name in replaced.keys() - set(drawn):
+        remarks[name] = f"{loops}: 'joint_name' has {name!r}, no joint of {urdf}: left out"
     return replace(
         tree,
         edges=at_home(tree.edges, home),
-        loops=(*tree.loops, *_closings(tree, lists["closed_loop"], lists["type"], loops)),
-        active=_motors(lists["name_mot"], tree.edges, urdf),
+        loops=(*tree.loops, *_closings(tree, lists, loops)),
+        active=_motors(keys["name_mot"], tree.edges, urdf),
         platform=keys["platform"].text() if "platform" in keys else None,
+        remarks=remarks,
     )
 
 
-def _closings(
-    tree: Tree, pairs: Sequence[Entry], types: Sequence[Entry], loops: Path
-) -> Iterator[Edge]:
+def _pairs(
+    lists: Mapping[str, list[Entry]], first: str, second: str, loops: Path
+) -> list[tuple[Entry, Entry]]:
+    """Return what belongs together of two lists."""
+    counts = len(lists[first]), len(lists[second])
+    if counts[0] != counts[1]:
+        raise MechanismError(
+            f"{loops}: {counts[0]} entries of {first!r}, but {counts[1]} of {second!r}; each "
+            "needs one"
+        )
+    return list(zip(lists[first], lists[second], strict=True))
+
+
+def _closings(tree: Tree, lists: Mapping[str, list[Entry]], loops: Path) -> Iterator[Edge]:
     """Yield what closes the loops: pairs of links whose frames meet, or their origins alone."""
-    kinds = [entry.choice("3d", "3D", "6d", "6D") for entry in types] or ["6d"] * len(pairs)
-    for pair, kind in zip(pairs, kinds, strict=True):
+    kinds = ["6d"] * len(lists["closed_loop"])
+    if lists["type"]:
+        pairs = _pairs(lists, "closed_loop", "type", loops)
+        kinds = [kind.choice("3d", "3D", "6d", "6D").lower() for _, kind in pairs]
+    for pair, kind in zip(lists["closed_loop"], kinds, strict=True):
         ends = [end.text() for end in pair.items(2, 2)]
         parent, child = (tree.link(end, f"'closed_loop' of {loops}") for end in ends)
-        closes: Closing = "point" if kind.lower() == "3d" else "frame"
+        closes: Closing = "point" if kind == "3d" else "frame"
         yield Edge(Joint("_".join(ends), "fixed"), parent, child, closes=closes)
 
 
-def _motors(named: Sequence[Entry], edges: Sequence[Edge], urdf: Path) -> tuple[str, ...]:
+def _motors(named: Entry, edges: Sequence[Edge], urdf: Path) -> tuple[str, ...]:
     """Return the joints that ``name_mot`` means: of that name, or else with it in their names."""
     moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
     motors: list[str] = []
-    for entry in named:
+    for entry in [named] if isinstance(named.value, str) else named.items():
         name = entry.text()
         matching = [name] if name in moving else [joint for joint in moving if name in joint]
         if not matching:

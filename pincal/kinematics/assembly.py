@@ -22,6 +22,7 @@ from pincal.model.platform import Platform
 from pincal.types import Array
 
 _STEPS, _LARGEST = 100, 0.3  # of Newton's method: how many, and how far at once
+_STARTS, _WIDEST = 32, 1.5  # further ones, and how far about what is drawn, [rad] or of the size
 _CLOSED = 1e-10  # gap, of the size, of what is closed
 _SINGULAR = 1e-10  # of singular values, over the size: none
 _CONFIGURATIONS, _ABOUT = 120, 0.3  # how many, and how far about home, [rad] or of the size
@@ -33,47 +34,77 @@ def assembled(
 ) -> tuple[tuple[Leg, ...], Platform]:
     """Return the legs with home positions that close them, and the platform at its home pose.
 
-    The legs' home positions are where to start, the platform's home does not count. Cut digits may
-    have moved frames by the slack, of a leg's size and [rad].
+    The legs' home positions are where to start, and others about them within the limits where that
+    does not lead to what closes there: the nearest counts, within the limits if any is. The
+    platform's home does not count. Cut digits may have moved frames by the slack, of a leg's size
+    and [rad].
 
     Raises:
         MechanismError: no such configuration was found.
     """
     free = Platform.at_origin(platform.kind, platform.twist)
-    size = max(leg.size for leg in legs)
-    closures, homes = [LegClosure(leg, free) for leg in legs], [leg.home[None] for leg in legs]
-    drawn = _fitted(closures, homes, free)
-    pose, joints, gap = _closed(closures, drawn, homes, _SINGULAR)
-    ends = zip(homes, joints, strict=True)
-    moved = max(float(np.abs(q - home).max(initial=0.0)) for home, q in ends)
-    far = slack > _SINGULAR and moved > opening(legs, platform) / size / slack
-    if far or not gap[0] <= _CLOSED * size:
-        pose, joints, gap = _closed(closures, drawn, homes, max(slack, _SINGULAR))
-    if not gap[0] <= max(_CLOSED, slack) * size:
+    closures, size = [LegClosure(leg, free) for leg in legs], max(leg.size for leg in legs)
+    home, scales = (np.concatenate([getattr(leg, k) for leg in legs]) for k in ("home", "scales"))
+    turning = np.array([joint.turns for leg in legs for joint in leg.moving])
+    low, high = np.concatenate([joint_range(leg) for leg in legs], axis=1)
+    enough = max(slack, _CLOSED) * size
+    poses, joints, gaps = _closed(closures, _fitted(closures, home[None]), home[None], _SINGULAR)
+    far = np.abs(joints - home).max() * size * slack > opening(legs, free)
+    if far or gaps[0] > _CLOSED * size or (joints != np.clip(joints, low, high)).any():
+        shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_STARTS, len(home)))
+        starts = home + np.linspace(0.0, _WIDEST, _STARTS)[:, None] * scales * shares
+        starts = np.clip(starts, low, high)
+        drawn = np.concatenate([_fitted(closures, start[None]) for start in starts])
+        further = _closed(closures, drawn, starts, max(slack, _SINGULAR), low, high)
+        poses, joints, gaps = map(np.concatenate, zip((poses, joints, gaps), further, strict=True))
+    joints = joints - 2 * np.pi * turning * np.round((joints - (low + high) / 2) / (2 * np.pi))
+    outside = (joints != np.clip(joints, low, high)).any(axis=1)
+    moved = (np.abs(joints - home) / scales).max(axis=1)
+    best = int(np.lexsort((moved, outside, np.where(gaps > enough, gaps, 0.0)))[0])
+    if not gaps[best] <= enough:
         raise MechanismError(
-            f"the loops do not close near the joint positions that the file draws: {gap[0]:.3g} m "
-            "stay open. Give positions that close them (keyframe of MJCF, 'home' of the YAML "
-            "file), or look at the frames of the loops"
+            "the loops do not close near the joint positions that the file draws: "
+            f"{_widest(closures, poses[[best]], joints[[best]])}. Give positions that close them "
+            "(keyframe of MJCF, 'home' of the YAML file), or look at the frames of the loops"
         )
-    home = free.from_matrices(pose)[0]
-    placed = tuple(leg.with_home(q[0]) for leg, q in zip(legs, joints, strict=True))
-    return placed, replace(platform, home=tuple(home.tolist()))
+    pose, parts = free.from_matrices(poses[[best]])[0], _parts(closures, joints[[best]])
+    placed = (leg.with_home(q[0]) for leg, q in zip(legs, parts, strict=True))
+    settled = tuple(replace(leg, settled=False) for leg in placed)
+    return settled, replace(platform, home=tuple(pose.tolist()))
+
+
+def _parts(closures: Sequence[LegClosure], joints: Array) -> list[Array]:
+    """Return the joint positions of each leg, (N, n_joints), of those of all, (N, n)."""
+    return np.split(joints, np.cumsum([len(c.leg.moving) for c in closures])[:-1], axis=1)
+
+
+def _widest(closures: Sequence[LegClosure], pose: Array, joints: Array) -> str:
+    """Return in words where ends are farthest apart."""
+    gaps: list[tuple[float, str]] = []
+    for closure, q in zip(closures, _parts(closures, joints), strict=True):
+        rows = np.abs(closure.evaluate(q, pose).gap[0])
+        for end in closure.leg.every_end:
+            of_end, rows = np.split(rows, [len(closure.platform.closing(end))])
+            met = "the platform" if end.point else repr(end.frames[-1])
+            gaps.append((float(of_end.max()), f"{end.tip!r} and {met}"))
+    return "{:.3g} m stay open between {}".format(*max(gaps))
 
 
 def _closed(
-    closures: Sequence[LegClosure], poses: Array, joints: Sequence[Array], least: float
-) -> tuple[Array, list[Array], Array]:
-    """Return poses (N, 4, 4) and joints (N, n) of each leg, closed nearby, and largest gaps, (N,).
+    closures: Sequence[LegClosure], poses: Array, joints: Array, least: float, *limits: Array
+) -> tuple[Array, Array, Array]:
+    """Return poses (N, 4, 4) and joints of all legs (N, n), closed nearby, and largest gaps, (N,).
 
     Along singular values below the least, over the size of the largest leg, [m], nothing moves.
+    Within limits, if lower and upper ones are given, (n,) each, joints stay at first.
     """
     platform, size = closures[0].platform, max(closure.size for closure in closures)
     turning = [unit == "rad" for unit in platform.units]
     turning += [joint.turns for closure in closures for joint in closure.leg.moving]
     scale = np.where(turning, 1.0, size)
-    ends = np.cumsum([platform.dof, *(q.shape[1] for q in joints)])[:-1]
-    for _ in range(_STEPS):
-        parts = [closure.evaluate(q, poses) for closure, q in zip(closures, joints, strict=True)]
+    for step in range(_STEPS):
+        by_leg = zip(closures, _parts(closures, joints), strict=True)
+        parts = [closure.evaluate(q, poses) for closure, q in by_leg]
         gaps = np.concatenate([part.gap for part in parts], axis=1)
         by_pose = np.concatenate([part.pose for part in parts], axis=1)
         J = np.concatenate((by_pose, block_diagonal([part.by_joints for part in parts])), axis=2)
@@ -87,10 +118,11 @@ def _closed(
         if ((largest <= ROUNDING * size) | (longest <= ROUNDING * max(1.0, size))).all():
             break
         steps *= np.minimum(1.0, _LARGEST * max(1.0, size) / np.maximum(longest, 1e-300))[:, None]
-        twists, *moves = np.split(steps, ends, axis=1)
-        poses = platform.displaced(poses, twists)
-        joints = [q + move for q, move in zip(joints, moves, strict=True)]
-    return poses, list(joints), largest
+        twists, moves = np.split(steps, [platform.dof], axis=1)
+        poses, joints = platform.displaced(poses, twists), joints + moves
+        if limits and step < _STEPS // 2:
+            joints = np.clip(joints, *limits)
+    return poses, joints, largest
 
 
 def cut_in_gap(values: Array, least: float) -> float:
@@ -106,21 +138,22 @@ def cut_in_gap(values: Array, least: float) -> float:
 def opening(legs: Sequence[Leg], platform: Platform) -> float:
     """Return how far ends that should meet are apart at home, [m], the platform put in between."""
     free = Platform.at_origin(platform.kind, platform.twist)
-    closures, joints = [LegClosure(leg, free) for leg in legs], [leg.home[None] for leg in legs]
-    pose = _fitted(closures, joints, free)
-    gaps = [closure.evaluate(q, pose).gap[0] for closure, q in zip(closures, joints, strict=True)]
+    closures, home = [LegClosure(leg, free) for leg in legs], np.hstack([leg.home for leg in legs])
+    pose, parts = _fitted(closures, home[None]), _parts(closures, home[None])
+    gaps = [closure.evaluate(q, pose).gap[0] for closure, q in zip(closures, parts, strict=True)]
     ends = np.array([gap[: free.space] for gap in gaps])
     widest = np.linalg.norm(ends[:, None] - ends, axis=2).max()
     return float(max(widest, *(np.linalg.norm(gap[free.space :]) for gap in gaps)))
 
 
-def _fitted(closures: Sequence[LegClosure], joints: Sequence[Array], platform: Platform) -> Array:
+def _fitted(closures: Sequence[LegClosure], joints: Array) -> Array:
     """Return the pose in which the platform's points are nearest to the tips, shape (1, 4, 4)."""
-    for closure, q in zip(closures, joints, strict=True):
+    matrix, platform = np.eye(4), closures[0].platform
+    by_leg = list(zip(closures, _parts(closures, joints), strict=True))
+    for closure, q in by_leg:
         if closure.leg.closes == "frame":
             return closure.frame(q)
-    matrix = np.eye(4)
-    tips = np.concatenate([closure.tips(q) for closure, q in zip(closures, joints, strict=True)])
+    tips = np.concatenate([closure.tips(q) for closure, q in by_leg])
     points = np.concatenate([closure.targets(np.eye(4)[None]) for closure in closures])
     if platform.space == 2:
         tips[:, 2] = points[:, 2] = 0.0
@@ -138,24 +171,13 @@ def independent(
     Cut digits may have moved frames by the slack, of the leg's size and [rad].
     """
     closure, rng = LegClosure(leg, platform), np.random.default_rng(0)
-    joints = rng.uniform(*joint_range(leg), (_CONFIGURATIONS, len(leg.moving)))
-    if leg.ends:  # closed about home
-        lengths = [leg.size if unit == "m" else 1.0 for unit in platform.units]
-        moves = rng.uniform(-_ABOUT, _ABOUT, (_CONFIGURATIONS, platform.dof + len(leg.moving)))
-        twists, shifts = np.split(moves, [platform.dof], axis=1)
-        homes = np.repeat(platform.home_pose.as_matrix(), _CONFIGURATIONS, axis=0)
-        drawn = platform.displaced(homes, twists * lengths)
-        poses, (joints,), gaps = _closed(
-            [closure], drawn, [leg.home + shifts * leg.scales], _SINGULAR
-        )
-        near = gaps <= _CLOSED * leg.size
-        joints, poses = joints[near], poses[near]
-    elif leg.closes == "frame":
-        poses = closure.frame(joints)
-    else:  # the platform is where the leg puts it, turned at random
-        twists = rng.uniform(-np.pi, np.pi, (_CONFIGURATIONS, platform.dof))
-        poses = platform.displaced(np.tile(np.eye(4), (_CONFIGURATIONS, 1, 1)), twists)
-        poses[:, :3, 3] = closure.tips(joints) - closure.targets(poses)
+    lengths = [leg.size if unit == "m" else 1.0 for unit in platform.units]
+    moves = rng.uniform(-_ABOUT, _ABOUT, (_CONFIGURATIONS, platform.dof + len(leg.moving)))
+    twists, shifts = np.split(moves, [platform.dof], axis=1)
+    homes = np.repeat(platform.home_pose.as_matrix(), _CONFIGURATIONS, axis=0)
+    drawn = platform.displaced(homes, twists * lengths)
+    poses, joints, gaps = _closed([closure], drawn, leg.home + shifts * leg.scales, _SINGULAR)
+    joints, poses = (part[gaps <= _CLOSED * leg.size] for part in (joints, poses))
     rows = closure.evaluate(joints, poses).constraint_by_parameter
     rows = rows.reshape(-1, rows.shape[2])
     scale = np.array([1.0 if leg.units[name] == "m" else 1.0 / closure.size for name in order])
