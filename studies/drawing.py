@@ -52,15 +52,12 @@ def draw_mechanism(axes: Axes, mechanism: pincal.Mechanism, pose: Sequence[float
 
 
 def parameters(study: Study, number: str) -> None:
-    """Add a schematic figure of the study's mechanism, the parameters of a leg as dimensions."""
-    mechanism, leg = study.mechanism, study.mechanism.leg_names[0]
+    """Add a picture of the study's mechanism, and what its parameters are."""
+    mechanism = study.mechanism
     study.heading(f"The mechanism and its parameters ({number})")
-    study.figure(
-        "parameters",
-        f"""{number}: the parameters of {leg} as lengths and angles, at home; ψ is
-        what the sensor reads.""",
-        pincal.picture(mechanism, dimensions=leg).figure(),
-    )
+    drawn = pincal.picture(mechanism).figure()
+    study.figure("mechanism", f"{number}: the mechanism at home", drawn)
+    study.say(f"Parameters: {mechanism.labelled}.")
 
 
 def legend(figure: Figure, columns: int = 4) -> None:

@@ -78,7 +78,7 @@ class Study:
     def page(self) -> str:
         """Return the page; it names figures and tables by paths relative to its folder."""
         options = f" --seed {self.seed}" * bool(self.seed) + " --quick" * self.quick
-        command = f"pincal study {self.name}{options} -o FOLDER"
+        command = f"python -m studies {self.name}{options} -o FOLDER"
         after = f"After *{self.paper}*. " if self.paper else ""
         head = f"# {self.title}\n\n{after}Written by `{command}`."
         return "\n\n".join([head, *self.parts]) + "\n"

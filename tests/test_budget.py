@@ -14,9 +14,9 @@ from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
     "": 261,
-    "architectures": 628,
+    "architectures": 625,
     "calibration": 6_774,
-    "cli": 2_894,
+    "cli": 2_809,
     "design": 2_336,
     "estimation": 4_744,
     "files": 3_364,
@@ -24,19 +24,19 @@ LINES = {
     "instruments": 1_561,
     "kinematics": 3_332,
     "model": 3_604,
-    "show": 4_612,
+    "show": 4_237,
     "symmetry": 1_374,
     "words": 982,
     "workspace": 1_502,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 178,
+    "files": 176,
     "page lines": 900,
     "largest folder": 15,
     "vague names": 0.01,
     "class names twice": 0,
-    "dataclasses": 133,
+    "dataclasses": 132,
     "complex functions": 0,
     "long signatures": 0,
     "imports inside functions": 0,

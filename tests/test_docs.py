@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import done
 from test_words import values_of
 from typer.main import get_command
 
@@ -24,6 +23,7 @@ from pincal.cli.app import app
 from pincal.model.platform import WAYS
 from pincal.words.findings import WORDINGS
 from pincal.words.numbers import UNITS
+from studies.__main__ import main
 
 ROOT = Path(__file__).parents[1]
 #: Licences that ask of users of pincal no more than to name the authors.
@@ -40,7 +40,7 @@ def dependencies() -> dict[str, Any]:
 @pytest.mark.parametrize("name", ["5R", "3RRR", "6UPS"])
 def test_studies_on_the_pages_are_as_they_come_now(name: str, tmp_path: Path) -> None:
     """Text and tables of the pages are those that the command writes, to the byte; minutes each."""
-    done("study", name, "-o", tmp_path / name)
+    assert main([name, "-o", str(tmp_path / name)]) == 0
     page = ROOT / "docs/studies" / name
     files = [Path("study.md"), *(path.relative_to(page) for path in page.glob("tables/*"))]
     assert len(list((tmp_path / name / "tables").iterdir())) == len(files) - 1

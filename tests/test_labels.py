@@ -90,19 +90,6 @@ def test_labels_are_shown(result: pincal.CalibrationResult) -> None:
 def test_commands_show_labels(tmp_path: Path) -> None:
     folder = OWN.save(tmp_path / "own")
     assert "leg_2.l: short crank" in done("check", folder).out
-    drawn = tmp_path / "p.svg"
-    done("picture", folder, "-o", drawn, "--dimensions", "leg_2")
-    assert "(short crank)" in drawn.read_text("utf-8")
-
-
-def test_a_dimension_that_is_zero_is_named_above_alone(tmp_path: Path) -> None:
-    """A delta's h, yaw, roll are zero: there is no line, so no name hangs in the drawing."""
-    drawn = pincal.picture("delta", dimensions="leg_1").figure().axes[0]
-    names = {text.get_text() for text in drawn.texts}
-    assert {r"$\mathit{l}$", r"$\mathit{L}$", r"$\mathit{OA}$"} <= names
-    assert not {r"$\mathit{h}$", r"$\mathit{yaw}$", r"$\mathit{roll}$", r"$\beta$"} & names
-    assert "yaw" in drawn.get_title()
-    assert "0 mm" in drawn.get_title()
 
 
 def test_printers_that_are_imported_have_the_labels_of_their_template(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyArrowPatch
 
 import pincal
 from pincal.files.mechanism_folders import bundled
@@ -263,27 +262,13 @@ def test_matplotlib_is_imported_where_it_is_needed() -> None:
     assert told.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("name", some_slow(["3RRR", "delta"], "delta"))
-def test_names_of_parameters_stand_at_their_lines(name: str) -> None:
-    """None is twice as far from its own line as from another's."""
-    mechanism = pincal.load_mechanism(name)
-    axes = pincal.picture(mechanism, dimensions=mechanism.leg_names[0]).figure().axes[0]
-    arrows = [patch for patch in axes.patches if isinstance(patch, FancyArrowPatch)]
-    texts = [text for text in axes.texts if text.get_text().startswith("$")]
-    lines = [arrow.get_path().interpolated(20).vertices for arrow in arrows]
-    for number, text in enumerate(texts):
-        far = [np.linalg.norm(line - text.get_position(), axis=1).min() for line in lines]
-        assert far[number] < 2.0 * min(far), text.get_text()
-    assert len(texts) == len(lines)
-
-
 @pytest.mark.parametrize(
     "name", some_slow(sorted(bundled()), *(set(bundled()) - {"3RRR", "6UPS", "delta"}))
 )
 def test_no_two_names_overlap(name: str) -> None:
-    """Names of legs, of axes and of parameters each have their place, as drawn."""
+    """Names of legs and of axes each have their place, as drawn."""
     mechanism = pincal.load_mechanism(name)
-    figure = pincal.picture(mechanism, dimensions=mechanism.leg_names[0]).figure()
+    figure = pincal.picture(mechanism).figure()
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     texts = [text for text in figure.axes[0].texts if text.get_text()]

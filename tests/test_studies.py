@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import contents, done, run
+from command_line import contents
 
+from studies.__main__ import main
 from studies.study import Study, markdown
 from studies.trials import root_mean_square
 
@@ -28,7 +29,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A quick run of every study."""
     root = tmp_path_factory.mktemp("studies")
     for name in (*FIGURES, "errors"):
-        done("study", name, "--quick", "-o", root / name)
+        assert main([name, "--quick", "-o", str(root / name)]) == 0
     return {name: root / name for name in FIGURES}
 
 
@@ -119,8 +120,8 @@ def test_hexapod(folders: dict[str, Path]) -> None:
     assert position[0] > 50 * position[1]
 
 
-def test_both_commands_give_the_same_files(folders: dict[str, Path], tmp_path: Path) -> None:
-    """``python -m studies`` in the sources writes what ``pincal study`` writes, pictures aside.
+def test_two_runs_give_the_same_files(folders: dict[str, Path], tmp_path: Path) -> None:
+    """``python -m studies`` writes the same text and tables again, in any case of the name.
 
     Byte for byte, from the same seed.
     """
@@ -134,29 +135,17 @@ def test_both_commands_give_the_same_files(folders: dict[str, Path], tmp_path: P
         assert first[name] == again[name], name
 
 
-def test_wrong_studies_are_refused(tmp_path: Path) -> None:
-    """An unknown name, a folder that is not pincal's, a missing folder."""
+def test_wrong_studies_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An unknown name, a folder that exists, a missing folder."""
     (tmp_path / "mine").mkdir()
-    for line, word in (
-        (["study", "delta", "-o", tmp_path / "a"], "5R, 3RRR, 6UPS"),
-        (["study", "5R", "--force", "-o", tmp_path / "mine"], "not a folder that pincal wrote"),
-        (["study", "5R", "-o", tmp_path / "none" / "5R"], "does not exist"),
+    for name, folder, word in (
+        ("delta", "a", "5R, 3RRR, 6UPS"),
+        ("5R", "mine", "exists"),
+        ("5R", "none/5R", "parent does not"),
     ):
-        outcome = run(*line)
-        assert outcome.code == 2
-        assert word in outcome.err
+        assert main([name, "-o", str(tmp_path / folder)]) == 2
+        assert word in capsys.readouterr().err
     assert contents(tmp_path) == {"mine": None}
-
-
-def test_without_studies_the_command_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where neither the sources nor a wheel's studies are: one message, nothing written."""
-    monkeypatch.setattr("pincal.cli.mechanisms._ROOT", tmp_path)
-    outcome = run("study", "5R", "-o", tmp_path / "a")
-    assert outcome.code == 2
-    assert "studies are not installed" in outcome.trouble
-    assert contents(tmp_path) == {}
 
 
 def test_tables_in_markdown() -> None:

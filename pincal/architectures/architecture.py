@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import degrees, radians
 from typing import Any, TypeAlias
@@ -15,11 +15,9 @@ from pincal.kinematics.singularity import home_determinant
 from pincal.model.checks import must_be, number_of
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import at_home as closed_at_home
-from pincal.types import Array
 
 #: Dimensions by name: lengths [m], angles [rad], and texts.
 Values: TypeAlias = Mapping[str, Any]
-Corner: TypeAlias = "Sequence[float] | Array"
 LEAST = 1e-6
 _FLAT = 1e-3  # of what the legs' lines span at home
 
@@ -106,9 +104,8 @@ class Architecture:
     title: str
     dimensions: tuple[SheetDimension, ...]
     make: Callable[[Values], Mechanism]
-    region: Callable[[Values], tuple[Corner, Corner]] | None = None
-    """Lower and upper coordinates between which it works, where readings have no limits that say
-    so, [m] and [rad]."""
+    box: Callable[[Values], str] = lambda _: ""
+    """Where it works, as of ``--box``, where the limits of readings do not say so."""
 
     def complete(self, dimensions: Values) -> dict[str, float | str]:
         """Return all dimensions in order: those given, others in proportion to these."""

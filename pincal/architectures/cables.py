@@ -32,7 +32,7 @@ _LABELS = {
     for letter, label in (("A", "anchor"), ("b", "platform's corner"))
     for axis in "xyz"
 } | {"k": "gain of the reading", "r": "radius of the pulley"}
-_WITHIN, _TURN = 0.8, pi / 9  # of the room that a platform has in its frame; from upright
+_WITHIN = 0.8  # of the room that a platform has in its frame
 
 
 def _cable(number: int, anchor: Array, corner: Array, home: Array) -> Leg:
@@ -105,18 +105,18 @@ def _spatial(d: Values) -> Mechanism:
     return robot
 
 
-def _in_plane(d: Values) -> tuple[Array, Array]:
+def _in_plane(d: Values) -> str:
     """Return where a platform is well inside its frame, turned by 20° at most."""
-    high = np.array([*_free(d, "width", "height"), _TURN])
-    return -high, high
+    x, y = _free(d, "width", "height")
+    return f"x={-x:g}..{x:g}, y={-y:g}..{y:g}, phi=-20deg..20deg"
 
 
-def _in_space(d: Values) -> tuple[Array, Array]:
+def _in_space(d: Values) -> str:
     """Return where a platform is well inside its frame, tilted and turned by 20° at most."""
-    half = _free({**d, "frame_height": d["upper"] - d["lower"]}, "length", "width", "height")
-    middle = np.array([0.0, 0.0, (d["upper"] + d["lower"]) / 2])
-    low, high = (*(middle - half), -pi, 0.0, -_TURN), (*(middle + half), pi, _TURN, _TURN)
-    return np.array(low), np.array(high)
+    x, y, z = _free({**d, "frame_height": d["upper"] - d["lower"]}, "length", "width", "height")
+    middle = (d["upper"] + d["lower"]) / 2
+    heights = f"z={middle - z:g}..{middle + z:g}"
+    return f"x={-x:g}..{x:g}, y={-y:g}..{y:g}, {heights}, tilt=..20deg, torsion=-20deg..20deg"
 
 
 def _free(d: Values, *sides: str) -> Array:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.architectures.architecture import Architecture, Corner, Values, angle, length, text
+from pincal.architectures.architecture import Architecture, Values, angle, length, text
 from pincal.architectures.cables import CABLE_ROBOTS
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
@@ -144,10 +144,10 @@ _3RRR = (
 )
 
 
-def _printable(d: Values) -> tuple[Corner, Corner]:
+def _printable(d: Values) -> str:
     """Return the room over the bed."""
-    radius = d["print_radius"]
-    return (-radius, -radius, 0.0), (radius, radius, d["endstop_height"])
+    x = y = f"{-d['print_radius']:g}..{d['print_radius']:g}"
+    return f"x={x}, y={y}, z=0..{d['endstop_height']:g}"
 
 
 _GOUGH = "Hexapod (Gough-Stewart platform), six legs with linear drives"

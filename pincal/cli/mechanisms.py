@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -12,14 +11,14 @@ import numpy as np
 import typer
 
 import pincal
-from pincal import FileError, Mechanism, Plan
+from pincal import Mechanism, Plan
 from pincal.cli.app import command, fail, remark, stdout, warn, working, wrote
-from pincal.cli.options import Force, Mech, Seed, TableOptions, output_option
+from pincal.cli.options import Force, Mech, TableOptions, output_option
 from pincal.estimation.observability.identifiable import identifiability
 from pincal.files.columns import columns_of, reading_columns, reason_column
 from pincal.files.measurements import read_poses, read_readings
 from pincal.files.mechanism_folders import bundled
-from pincal.files.output import refuse_existing, writing
+from pincal.files.output import refuse_existing
 from pincal.files.table import write_table
 from pincal.kinematics.configurations import beyond_limits, joints_at, leg_demands
 from pincal.kinematics.influences import own_influences
@@ -221,41 +220,6 @@ def fail_if_lost(path: Path, places: Sequence[str], reasons: Sequence[str], kind
             f"{path}: {len(lost)} of {len(places)} {kind}s without a solution; their rows are "
             f"empty, with the reason. {first_of(lost)}",
         )
-
-
-_ROOT = Path(__file__).resolve().parents[2]
-
-
-@command
-def study(
-    name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|errors", help="Which study.")],
-    output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer draws, coarser grids: seconds, not minutes.")
-    ] = False,
-    seed: Seed = 0,
-    force: Force = False,
-) -> None:
-    """Recompute a paper's figures and tables.
-
-    Also shows what the paper lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS:
-    symmetrical workspace and, after its paper, the calibration. errors: non-geometric errors,
-    simulated and, if PINCAL_DATA holds their data, of real arms. FOLDER gets study.md, tables as
-    CSV, figures as SVG and PNG. The same seed gives the same text and tables; times are in figures
-    only.
-    """
-    installed = [n for n in ("pincal_studies", "studies") if (_ROOT / n / "catalogue.py").is_file()]
-    if not installed:
-        raise FileError(
-            f"the papers' studies are not installed: no folder pincal_studies or studies in {_ROOT}"
-            "; install pincal from its wheel, or run this in its sources"
-        )
-    refuse_existing(output, force=force, folder=("study.md",))
-    with working(f"study of the {name}") as progress:
-        result = import_module(f"{installed[0]}.catalogue").run_study(name, seed, quick, progress)
-    with writing(output, force=force, folder=("study.md",)) as scratch:
-        result.write(scratch)
-    wrote(output)
 
 
 @command

@@ -2,38 +2,22 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
-from dataclasses import asdict, make_dataclass, replace
+from dataclasses import asdict, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 import pincal
-from pincal import FileError, Noise, Plan
+from pincal import FileError
 from pincal.architectures.catalogue import ARCHITECTURES, architecture_of
-from pincal.cli.app import app, command, remark, run_step, say, stdout, working, wrote
+from pincal.cli.app import app, command, run_step, say, stdout, working, wrote
 from pincal.cli.options import Force, Seed, named_after, output_option
-from pincal.design.order import in_rounds, with_verification
-from pincal.files.columns import columns_of, sheet_columns
-from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
-from pincal.files.output import refuse_existing, writing
-from pincal.files.table import write_table
+from pincal.files.output import refuse_existing
 from pincal.option import Option, option
-from pincal.show.tables import selection_table
-from pincal.words.numbers import WRITTEN, amount
-from pincal.workspace.criteria import in_workspace
-
-#: Files in the folder beside the mechanism, and what they are.
-DESCRIPTIONS = {
-    "picture.svg": "a picture with dimensions",
-    "plan.csv": "poses to measure",
-    "sheet.csv": "the sheet to fill in",
-}
-FOLDER = (*MECHANISM_FILES, *DESCRIPTIONS)
-_CANDIDATES, _VERIFY, _SEED = 1000, 6, 0
-_READ = 1e-4  # standard deviation of readings, where there are more than freedoms [m or rad]
+from pincal.words.numbers import amount
 
 
 def _dimension_options() -> type[Any]:
@@ -60,51 +44,26 @@ def new(
     architecture: Annotated[
         str, typer.Argument(metavar="ARCHITECTURE", help=f"{', '.join(ARCHITECTURES)}.")
     ],
-    output: Annotated[Path, output_option("MECH", "Folder of the mechanism, plan and sheet.")],
+    output: Annotated[Path, output_option("MECH", "Folder of the mechanism.")],
     dimensions: DimensionOptions,  # type: ignore[valid-type]
-    count: Annotated[int, typer.Option(min=1, help="Poses for the calibration.")] = 24,
     force: Force = False,
 ) -> None:
     """Create a mechanism from its dimensions.
 
-    Writes a mechanism folder, and into it a picture with dimensions (picture.svg), poses to measure
-    (plan.csv; six more to check the calibration), and a sheet to fill in (sheet.csv). Dimensions
-    that are not given are scaled from those that are; all are printed.
-
-    Then measure, fill in the sheet, and type 'pincal calibrate MECH MECH/sheet.csv -o RESULT'.
+    Writes a mechanism folder. Dimensions that are not given are scaled from those that are; all are
+    printed. Then plan, measure, fill in the sheet, and type 'pincal calibrate MECH SHEET -o
+    RESULT'.
     """
-    refuse_existing(output, force=force, folder=FOLDER)
     design = architecture_of(architecture)
     sizes = {name: value for name, value in asdict(dimensions).items() if value is not None}
     values = design.complete(sizes)
     mechanism = pincal.new_mechanism(design.name, name=named_after(output), **values)
-    noise = Noise(reading=_READ if mechanism.redundant else 0.0)
-    with working("choosing poses"):
-        if design.region is None:  # all that its readings reach, or where it works
-            candidates = pincal.sample_configurations(mechanism, _CANDIDATES, _SEED)
-        else:
-            low, high = design.region(values)
-            size = 4 * _CANDIDATES, len(low)
-            poses = np.random.default_rng(_SEED).uniform(low, high, size)
-            candidates = Plan(poses[in_workspace(mechanism, poses)][:_CANDIDATES])
-        chosen = pincal.select_configurations(mechanism, candidates, count, noise=noise, seed=_SEED)
-        plan = with_verification(mechanism, chosen.plan, candidates, _VERIFY, _SEED)
-        plan = in_rounds(mechanism, plan, seed=_SEED)
-    with writing(output, force=force, folder=FOLDER) as scratch:
-        write_mechanism(mechanism, scratch)
-        drawn = any(parameter.nominal for parameter in mechanism.parameters)
-        image = pincal.picture(mechanism, dimensions=mechanism.leg_names[0] if drawn else "")
-        image.save(scratch / "picture.svg")
-        write_table(scratch / "plan.csv", columns_of(mechanism, plan), units=WRITTEN)
-        if plan.readings is None:
-            plan = replace(plan, readings=pincal.inverse(mechanism, plan.poses).readings)
-        write_table(scratch / "sheet.csv", sheet_columns(mechanism, plan))
+    mechanism.save(output, force=force)
     stdout.print(mechanism.description)
-    stdout.print(selection_table(chosen, mechanism.name))
     wrote(output)
-    for file, description in DESCRIPTIONS.items():
-        remark(f"  {file}: {description}")
-    remark(f"then: pincal calibrate {output} {output / 'sheet.csv'} -o RESULT")
+    box = design.box(values)
+    words = ["pincal", "select", str(output), *["--box", box][: 2 * bool(box)], "--verify", "6"]
+    say(f"next: {shlex.join([*words, '--sheet', 'sheet.xlsx', '-o', 'plan.csv'])}")
 
 
 _NOISE = 5e-5  # of positions, of the machine's size

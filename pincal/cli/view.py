@@ -106,9 +106,6 @@ class PageOptions:
     """What the page holds, and where it goes."""
 
     html: Path | None = option(None, "Write one file that opens anywhere, offline.", metavar="FILE")
-    meshes: Path | None = option(
-        None, "URDF whose meshes are drawn as the arm's links.", metavar="URDF"
-    )
     open: bool = option(True, "Print the address without opening a browser.")
     force: bool = option(False, FORCE)
 
@@ -132,8 +129,6 @@ def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify
         page = pincal.view(**arguments)
         if result is not None:
             page = page.with_result(result)
-        if options.meshes is not None:
-            page = page.with_meshes(options.meshes)
         page.html()
     _say_unreached(page.scene)
     if options.html is not None:
@@ -157,9 +152,6 @@ def picture(
     output: Annotated[Path, output_option("FILE.svg|png|pdf", "The picture.")],
     shown: Shown = None,
     magnify: Magnify = None,
-    dimensions: Annotated[
-        str, typer.Option(metavar="LEG", help="Draw a leg's parameters as lengths and angles.")
-    ] = "",
     force: Force = False,
 ) -> None:
     """Draw a mechanism into a file, as 'pincal view' shows it.
@@ -171,7 +163,7 @@ def picture(
     arguments, _ = _read(mech, shown, magnify)
     refuse_existing(picture_path(output), force=force)
     with working("drawing"):
-        image = pincal.picture(**arguments, dimensions=dimensions)
+        image = pincal.picture(**arguments)
         image.save(output, force=force)
     _say_unreached(image.scene)
     wrote(output)

@@ -7,7 +7,6 @@ dark outlines are painted from the farthest to the nearest.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -23,11 +22,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.configurations import home_of, joints_at
-from pincal.model.checks import EXACT, counted
+from pincal.kinematics.configurations import home_of
+from pincal.model.checks import counted
 from pincal.model.measurements import EVERY_LEG, Plan
-from pincal.show.dimensions import Dimension, Names, dimensions_of, draw_dimensions, symbol
 from pincal.show.style import (
     ACTIVE,
     IDENTIFIED,
@@ -40,7 +37,6 @@ from pincal.show.style import (
 from pincal.show.view.bodies import Shape
 from pincal.show.view.scene import Scene, scene
 from pincal.types import Array
-from pincal.words.numbers import amount
 from pincal.words.wording import clean
 
 
@@ -49,12 +45,10 @@ class Picture:
     """A picture of a scene: the mechanism at the first pose, all other poses as faint lines."""
 
     scene: Scene
-    dimensions: str = ""
-    """Leg whose parameters are drawn as dimensions, if any."""
 
     def draw(self, axes: Axes) -> Axes:
         """Draw into axes, best inside ``pincal.show.style.drawing()``."""
-        scene, dimensions = self.scene, self._drawn
+        scene = self.scene
         V, (low, high) = scene.axes, self._extent
         ground = scene.ground()
         lines = list(ground.points @ V[:2].T)
@@ -70,37 +64,20 @@ class Picture:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         axes.set_axis_off()
         links = scene.body.skeletons()[0] @ V[:2].T
-        names = Names(axes, links[np.isfinite(links).all(axis=(1, 2))])
+        names = _Names(axes, links[np.isfinite(links).all(axis=(1, 2))])
         _name_axes_and_legs(names, scene)
-        draw_dimensions(names, dimensions, V)
         longest = max(len(str(handle.get_label())) for handle in legend)
         below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
         columns = int(np.clip(_LINE / longest, 1, 3))
         axes.legend(handles=legend, ncols=columns, frameon=False, **below)
-        if dimensions:
-            _write_values(axes, scene, self.dimensions)
         return axes
-
-    @cached_property
-    def _drawn(self) -> list[Dimension]:
-        """Parameters of the leg that are not zero; none where it is not drawn."""
-        mechanism, poses = self.scene.mechanism, self.scene.plan.poses[:1]
-        if not self.dimensions:
-            return []
-        joints = joints_at(mechanism, poses).joints[self.dimensions][0]
-        if not np.isfinite(joints).all():
-            return []
-        size = _ARC * self.scene.size
-        closure = nominal_legs(mechanism)[mechanism.leg_names.index(self.dimensions)]
-        every = dimensions_of(closure, joints, mechanism.platform.matrices(poses)[0], size)
-        return [dimension for dimension in every if dimension.extent > EXACT * size]
 
     @property
     def _extent(self) -> Array:
         """Least and largest of what is seen, right and up, shape (2, 2), [m]."""
-        scene, lines = self.scene, [dimension.line for dimension in self._drawn]
+        scene = self.scene
         tips = scene.body.platform[0] @ np.vstack((scene.body.axis * np.eye(3), np.ones(3)))
-        points = np.concatenate((scene.points(), tips[:3].T, *lines)) @ scene.axes[:2].T
+        points = np.concatenate((scene.points(), tips[:3].T)) @ scene.axes[:2].T
         low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
         margin = 0.06 * float(np.max(high - low))
         return np.stack((low - margin, high + margin))
@@ -135,7 +112,6 @@ def picture(
     *,
     identified: GivenMechanism | None = None,
     magnify: float | None = None,
-    dimensions: str = "",
 ) -> Picture:
     """Return a picture of a mechanism: ``save(path)``, ``figure()``, ``draw(axes)``.
 
@@ -149,17 +125,15 @@ def picture(
         identified: The calibrated mechanism, drawn over the nominal one.
         magnify: Factor on what differs between its parameters and the nominal ones; one at which
             errors are seen and every pose assembles if not given.
-        dimensions: Name of a leg whose parameters are drawn as lengths and angles.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
-            is not one of this mechanism; no such leg.
+            is not one of this mechanism.
         MeasurementError: no poses, too many or not whole; a factor that is not positive.
     """
     mechanism = as_mechanism(mechanism)
-    leg = mechanism.leg(dimensions).name if dimensions else ""
     poses = home_of(mechanism) if poses is None else poses
-    return Picture(scene(mechanism, poses, identified, magnify), leg)
+    return Picture(scene(mechanism, poses, identified, magnify))
 
 
 _WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # of a picture; least and most of what is drawn, [inch]
@@ -167,9 +141,7 @@ _LEGEND = 0.5  # height for the legend below, [inch]
 _LETTERS = 28  # of the longest name
 _LEG_NAME, _LEG_DISTANCES = 8.0, (11.0, 18.0, 26.0, 34.0)  # its size and places, [point]
 _LINE = 75  # letters of a legend's line
-_ARC = 0.055  # radius of the smallest angle drawn, of the scene's diagonal
-_VALUES = 6  # of parameters, in a line, at most
-_TITLE = 100  # letters of a line of them
+_OVERLAP, _OUTSIDE = 300.0, 100.0  # of a name over another, or outside; in hidden points of lines
 
 
 def _ghosts(axes: Axes, scene: Scene) -> list[Line2D]:
@@ -196,7 +168,43 @@ def shortened(name: str) -> str:
     return clean(name if len(name) <= _LETTERS else f"{name[: _LETTERS - 9]}…{name[-8:]}")
 
 
-def _name_axes_and_legs(names: Names, scene: Scene) -> None:
+class _Names:
+    """Names in axes whose limits are set, each where it hides least."""
+
+    def __init__(self, axes: Axes, links: Array) -> None:
+        """Begin with links that names should not hide, shape (n, 2, 2), right and up, [m]."""
+        low, high = np.array((axes.get_xlim(), axes.get_ylim())).T
+        figure: Any = axes.get_figure(root=True)
+        paper = 72.0 * figure.get_size_inches() * axes.get_position().size
+        self.axes = axes
+        self._limits = low[1], high[1]
+        self.point = float(np.max((high - low) / paper))
+        """What a point of the paper is in the picture, [m]; the legend takes some room."""
+        self._boxes = np.zeros((0, 2, 2))
+        self._hidden = np.linspace(links[:, 0], links[:, 1], 40).reshape(-1, 2)
+
+    def half(self, text: str, size: float) -> Array:
+        """Return half the width and height of a name of a size in points, shape (2,), [m]."""
+        return 0.5 * size * self.point * np.array((0.58 * (len(text) + 0.8), 1.4))
+
+    def write(self, text: str, places: Array, size: float, **style: Any) -> None:
+        """Write a name at the first of some places, shape (n, 2), that hides least."""
+        half = self.half(text, size)
+        low, high = places - half, places + half
+        inside = np.abs(self._hidden - places[:, None]) < half + 0.3 * half[1]  # links are thick
+        boxes = self._boxes
+        over = (low[:, None] < boxes[:, 1]) & (boxes[:, 0] < high[:, None])
+        cost = inside.all(axis=2).sum(axis=1) + _OVERLAP * over.all(axis=2).sum(axis=1)
+        bottom, top = self._limits  # what is beside them is in the picture all the same
+        outside = (low[:, 1] < bottom) | (high[:, 1] > top)
+        best = int(np.argmin(cost + _OUTSIDE * outside + 0.4 * np.arange(len(places))))
+        room = 0.3 * size * self.point  # names that touch read as one
+        self._boxes = np.concatenate((boxes, [[low[best] - room, high[best] + room]]))
+        x, y = places[best].tolist()
+        self.axes.text(x, y, text, size=size, ha="center", va="center", zorder=9, **style)
+
+
+def _name_axes_and_legs(names: _Names, scene: Scene) -> None:
     """Write letters beyond the ends of the base's axes, legs' names outwards of their feet."""
     V = scene.axes[:2]
     for letter, end in zip("xyz", scene.body.axis * V.T, strict=True):
@@ -213,21 +221,6 @@ def _name_axes_and_legs(names: Names, scene: Scene) -> None:
         reach = np.abs(directions) @ names.half(text, _LEG_NAME)
         places = foot + (steps[:, None] + reach)[..., None] * directions
         names.write(text, places.reshape(-1, 2), _LEG_NAME)
-
-
-def _write_values(axes: Axes, scene: Scene, name: str) -> None:
-    """Write the nominal values of a leg above: of parameters that are zero alone."""
-    values, longest, leg = [], 1, scene.mechanism.leg(name)
-    for key, value in leg.nominal_by_name.items():
-        unit = leg.units[key]
-        text = f"{np.degrees(value):.5g}°" if unit == "rad" else amount(value, unit, 6)
-        label = clean(scene.mechanism.parameters[f"{name}.{key}"].label).replace("$", r"\$")
-        text = f" = {text.replace('-', '−')}" + f" ({label})" * bool(label)
-        values.append(symbol(key) + text)
-        longest = max(longest, len(key + text))
-    columns = int(np.clip(_TITLE / longest, 1, _VALUES))
-    lines = [",  ".join(values[i : i + columns]) for i in range(0, len(values), columns)]
-    axes.set_title("\n".join(lines), size=7.5, pad=14.0, parse_math=True)
 
 
 _DARK, _EDGE = 0.55, 0.5  # brightness of an outline, of its shape's; its width, [point]

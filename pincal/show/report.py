@@ -180,15 +180,13 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
     )
     if errors is None:
         return [measured, reproduction]
-    cameras, leg = tables.cameras_table(result), result.legs[0].name
-    drawn = picture(result.nominal, dimensions=leg).draw
+    cameras = tables.cameras_table(result)
     return [
         measured,
         (
             "parameters",
             "Parameters",
             tables.parameters_table(result),
-            page_figure("dimensions", drawn, f"Where parameters of {leg} are, and nominal values."),
             tables.outside_table(result) if result.external else None,
             [f"{line}." for line in answers.weak_lines(result.weak, result.nominal)],
         ),
