@@ -1,6 +1,7 @@
 """Machines with closed loops: made, or imported from URDF, URDF with its own loops, and MJCF.
 
     python benchmarks/closed_loops.py [--sets 20] [--only quattro …] [--write]
+    python benchmarks/closed_loops.py --models example-parallel-robots/robots/*
 
 A line says how a machine is read, its legs, drives and parameters, how far Pinocchio leaves its
 ends apart at poses of readings [m, rad], how far the machine calibrated by noise-free data of
@@ -14,7 +15,7 @@ import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,15 +47,21 @@ FILES: dict[str, Callable[[Path], Path]] = {
 }
 
 
-def machines(folder: Path) -> Iterator[tuple[str, str, Callable[[], pincal.Mechanism]]]:
-    """Yield names, where machines are read from, and what makes them."""
-    for name, make in MACHINES.items():
-        yield name, "its dimensions", make
+def machines(
+    folder: Path, models: Sequence[Path]
+) -> Iterator[tuple[str, str, Callable[[], pincal.Mechanism]]]:
+    """Yield names, where machines are read from, and what makes them: of models, or of our own."""
 
     def imported(file: Path, target: Path) -> pincal.Mechanism:
         done("import", file, "-o", target)
         return pincal.load_mechanism(target)
 
+    for model in models:
+        yield model.name, "URDF, YAML", lambda m=model: imported(m / "robot.urdf", folder / m.name)
+    if models:
+        return
+    for name, make in MACHINES.items():
+        yield name, "its dimensions", make
     for name, write in FILES.items():
         file = write(folder / name)
         yield name, "URDF, YAML", lambda f=file, n=name: imported(f, folder / f"{n}_urdf")
@@ -100,16 +107,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", type=int, default=20)
     parser.add_argument("--only", nargs="*")
+    parser.add_argument("--models", nargs="*", type=Path, default=[], metavar="FOLDER")
     parser.add_argument("--write", action="store_true")
     options, lines = parser.parse_args(), list(HEAD)
     print("\n".join(HEAD))
     with tempfile.TemporaryDirectory() as folder:
-        for name, source, make in machines(Path(folder)):
+        for name, source, make in machines(Path(folder), options.models):
             if options.only and name not in options.only:
                 continue
             try:
                 line = row(name, source, make(), options.sets * (source == "its dimensions"))
-            except (AssertionError, pincal.PincalError) as error:
+            except (AssertionError, ValueError, pincal.PincalError) as error:
                 line = f"| {name} | {source} | refused: {' '.join(str(error).split())[:160]} |"
             print(line, flush=True)
             lines.append(line)

@@ -909,6 +909,19 @@ def test_a_loop_that_cannot_close_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
+def test_a_weld_that_asks_too_much_is_named(tmp_path: Path) -> None:
+    """A loop whose joints cannot meet all conditions says how many; so does a name given twice."""
+    tilted = [one.replace('"0 0 1"', '"0 1 0"') if '"free2"' in one else one for one in FIVE_BAR]
+    tilted[4] = tilted[4].replace("0.2 0.2 0", "0.2 0.2 0.1")
+    yaml = FIVE_BAR_YAML.replace("3d", "6d") + "platform: a2\n"
+    file = written(tmp_path / "weld", urdf("weld", tilted, "base"), yaml)
+    trouble = run("import", file, "-o", tmp_path / "none").trouble
+    assert "joints can meet 10 of all 12 conditions" in trouble
+    twice = urdf("twice", [*FIVE_BAR, joint("free1", "b2", "tool")], "base")
+    file = written(tmp_path / "twice", twice, FIVE_BAR_YAML)
+    assert "two joints are called 'free1'" in run("import", file, "-o", tmp_path / "none").trouble
+
+
 def test_what_carries_nothing_is_the_platform(tmp_path: Path) -> None:
     """A leg whose knee a motor bends over a parallelogram: its foot's frame, beyond all loops.
 

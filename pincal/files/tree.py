@@ -6,6 +6,7 @@ between base and platform is a route through it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -222,11 +223,13 @@ def at_home(edges: tuple[Edge, ...], home: Mapping[str, float]) -> tuple[Edge, .
 
 def root_of(edges: Sequence[Edge], links: Sequence[str], source: str) -> str:
     """Return the one link that no joint carries."""
-    children = [edge.child for edge in edges]
-    if twice := [child for child in children if children.count(child) > 1]:
+    children, joints = [edge.child for edge in edges], [edge.joint.name for edge in edges]
+    for twice in Counter(joints) - Counter(set(joints)):
+        raise MechanismError(f"{source}: two joints are called {twice!r}")
+    for twice in Counter(children) - Counter(set(children)):
         raise MechanismError(
-            f"{source}: link {twice[0]!r} hangs on two joints; the file must be a tree, whose "
-            "loops are closed by constraints"
+            f"{source}: link {twice!r} hangs on two joints; the file must be a tree, whose loops "
+            "are closed by constraints"
         )
     roots = [link for link in links if link not in set(children)]
     if len(roots) != 1:

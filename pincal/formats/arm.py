@@ -8,14 +8,14 @@ Which of them are not observable is found when measurements are planned or made.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from pincal.errors import MechanismError
+from pincal.errors import MechanismError, located
 from pincal.files.tree import Step, Tree, coupled, route, turns
 from pincal.files.urdf import read_urdf
 from pincal.kinematics.closure import LegClosure
@@ -58,12 +58,9 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
                 f"base; import it with --base {floor}"
             )
     tree.check_joints(names)
-    path, joints = Path(tree.source), tuple(joints_along(tree, steps))
-    try:
-        return arm(re.sub(r"\W", "_", tree.name), joints, f"Serial arm to {tip} of {path.name}.")
-    except MechanismError as error:
-        remarks = [tree.remarks[name] for name in names if name in tree.remarks]
-        raise MechanismError("; ".join([f"{path}: {error}", *remarks[:1]])) from error
+    text = f"Serial arm to {tip} of {Path(tree.source).name}."
+    with located(tree.source, MechanismError):
+        return arm(re.sub(r"\W", "_", tree.name), tuple(joints_along(tree, steps)), text)
 
 
 def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:
@@ -77,13 +74,14 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
     if len({_TOOL, *bare}) > len(bare):
         stems = bare
     point = identifiers((*(joint.name for joint in joints), "tip", _TOOL))[-1]
-    at_home = (  # the middle of limits that bar zero
+    at_home = [  # the middle of limits that bar zero
         replace(j, home=0.0 if j.lower <= 0.0 <= j.upper else (j.lower + j.upper) / 2.0)
         for j in joints
-    )
+    ]
+    tip = () if joints[-1].kind == "fixed" else (Joint("tip", "fixed"),)
     leg = Leg(
         name="arm",
-        joints=with_tip(at_home),
+        joints=(*at_home, *tip),
         sensors=tuple(map(Sensor, moving)),
         parameters=(),
         point=Joint(point, "fixed"),
@@ -92,12 +90,6 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
     leg, free = displaced(leg, (*stems, _TOOL), _AXES), Platform.at_origin("spatial")
     home = free.from_matrices(LegClosure(leg, free).frame(leg.home[None]))[0]
     return Mechanism(name, Platform("spatial", tuple(home.tolist())), (leg,), description)
-
-
-def with_tip(joints: Iterable[Joint]) -> tuple[Joint, ...]:
-    """Return joints of which the last one is fixed."""
-    joints = tuple(joints)
-    return joints if joints[-1].kind == "fixed" else (*joints, Joint("tip", "fixed"))
 
 
 def displaced(

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.tree import Edge, Step, Tree, route
-from pincal.formats.arm import joints_along, with_tip
+from pincal.formats.arm import joints_along
 from pincal.model.checks import EXACT, listed
 from pincal.model.joint import Closing, End, Joint
 from pincal.model.leg import Leg
@@ -63,14 +63,12 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
     goal = graph.platform(base, platform)
     limbs = [Limb([graph.round()], [])] if goal == base else graph.limbs(base, goal)
     bonds = [bond for limb in limbs for bond, _ in limb.steps]
-    if lost := [bond.joint.name for bond in graph.bonds if bond not in bonds]:
-        if not named:
-            raise MechanismError(
-                f"{listed(lost)} lie on no way from the base {tree.root!r} to the platform "
-                f"{graph.named(goal)}; is another link the base or the platform (--base, "
-                "--platform)?"
-            )
-        graph.bonds = bonds
+    lost = [bond.joint.name for bond in graph.bonds if bond not in bonds]
+    if lost and not named:
+        raise MechanismError(
+            f"{listed(lost)} lie on no way from the base {tree.root!r} to the platform "
+            f"{graph.named(goal)}; is another link the base or the platform (--base, --platform)?"
+        )
     tree.check_joints(sorted(bond.joint.name for bond in bonds))
     return limbs, platform or (None if goal == base else goal), [*loose, *lost]
 
@@ -396,7 +394,7 @@ def point_platform(tree: Tree, path: Sequence[Step], normal: Array | None) -> li
         centre = np.array(joints[last].placement.xyz)
         to_point = _up_to(joints[:last], joints[last], centre)
         point, sensors = Joint("point", "fixed"), _sensors(tree, to_point)
-        legs.append(Leg("limb", with_tip(to_point), sensors, (), point))
+        legs.append(Leg("limb", tuple(to_point), sensors, (), point))
     return legs
 
 

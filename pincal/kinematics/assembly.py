@@ -26,6 +26,7 @@ _STARTS, _WIDEST = 32, 1.5  # further ones, and how far about what is drawn, [ra
 _CLOSED = 1e-10  # gap, of the size, of what is closed
 _SINGULAR = 1e-10  # of singular values, over the size: none
 _CONFIGURATIONS, _ABOUT = 120, 0.3  # how many, and how far about home, [rad] or of the size
+_IDLE = 1e-4  # of singular values, over the size: joints that do not move ends so far, do not
 _DEPENDS = 1e-7  # of a column, what others leave of it
 
 
@@ -65,7 +66,7 @@ def assembled(
         raise MechanismError(
             "the loops do not close near the joint positions that the file draws: "
             f"{_widest(closures, poses[[best]], joints[[best]])}. Give positions that close them "
-            "(keyframe of MJCF, 'home' of the YAML file), or look at the frames of the loops"
+            "(keyframe of MJCF, 'home' of the YAML file), or look at the loops' frames and types"
         )
     pose, parts = free.from_matrices(poses[[best]])[0], _parts(closures, joints[[best]])
     placed = (leg.with_home(q[0]) for leg, q in zip(legs, parts, strict=True))
@@ -78,16 +79,26 @@ def _parts(closures: Sequence[LegClosure], joints: Array) -> list[Array]:
     return np.split(joints, np.cumsum([len(c.leg.moving) for c in closures])[:-1], axis=1)
 
 
+def _linearised(closures: Sequence[LegClosure], poses: Array, joints: Array) -> tuple[Array, Array]:
+    """Return gaps of all legs, (N, m), and derivatives by pose and joints, (N, m, dof + n)."""
+    by_leg = zip(closures, _parts(closures, joints), strict=True)
+    parts = [closure.evaluate(q, poses) for closure, q in by_leg]
+    by_pose = np.concatenate([part.pose for part in parts], axis=1)
+    J = np.concatenate((by_pose, block_diagonal([part.by_joints for part in parts])), axis=2)
+    return np.concatenate([part.gap for part in parts], axis=1), J
+
+
 def _widest(closures: Sequence[LegClosure], pose: Array, joints: Array) -> str:
-    """Return in words where ends are farthest apart."""
-    gaps: list[tuple[float, str]] = []
-    for closure, q in zip(closures, _parts(closures, joints), strict=True):
-        rows = np.abs(closure.evaluate(q, pose).gap[0])
-        for end in closure.leg.every_end:
-            of_end, rows = np.split(rows, [len(closure.platform.closing(end))])
-            met = "the platform" if end.point else repr(end.frames[-1])
-            gaps.append((float(of_end.max()), f"{end.tip!r} and {met}"))
-    return "{:.3g} m stay open between {}".format(*max(gaps))
+    """Return in words where ends are farthest apart, and whether they ask more than joints give."""
+    (gaps,), (J,) = _linearised(closures, pose, joints)
+    ends = [(closure, end) for closure in closures for end in closure.leg.every_end]
+    counts = np.cumsum([len(closure.platform.closing(end)) for closure, end in ends])
+    largest = [np.abs(rows).max() for rows in np.split(gaps, counts[:-1])]
+    closure, end = ends[int(np.argmax(largest))]
+    met = f"{end.tip!r} and " + ("the platform" if end.point else repr(end.frames[-1]))
+    rank = int(np.linalg.matrix_rank(J, tol=_IDLE * closure.size))
+    more = f", and joints can meet {rank} of all {len(gaps)} conditions" * (rank < len(gaps))
+    return f"{max(largest):.3g} m stay open between {met}{more}"
 
 
 def _closed(
@@ -103,11 +114,7 @@ def _closed(
     turning += [joint.turns for closure in closures for joint in closure.leg.moving]
     scale = np.where(turning, 1.0, size)
     for step in range(_STEPS):
-        by_leg = zip(closures, _parts(closures, joints), strict=True)
-        parts = [closure.evaluate(q, poses) for closure, q in by_leg]
-        gaps = np.concatenate([part.gap for part in parts], axis=1)
-        by_pose = np.concatenate([part.pose for part in parts], axis=1)
-        J = np.concatenate((by_pose, block_diagonal([part.by_joints for part in parts])), axis=2)
+        gaps, J = _linearised(closures, poses, joints)
         u, values, vt = np.linalg.svd(J * scale / size, full_matrices=False)
         cuts = np.array([[cut_in_gap(of_row, least)] for of_row in values])
         with np.errstate(divide="ignore"):
