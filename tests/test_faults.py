@@ -59,10 +59,10 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "calibrate 5R {data} -o {}/new", 50_000, marks=pytest.mark.slow
         ),  # all but the report
         ("inverse 5R {plan} -o {}/new.csv", 100),
-        ("picture 5R -o {}/new.png", 1000),
+        ("view 5R -o {}/new.png", 1000),
         ("simulate 5R {plan} -o {0}/new.csv --truth {0}/new --disturb 0.001", 1800),
         ("export 3RRR -o {}/new.xml", 2000),
-        ("view 5R --html {}/new.html", 100_000),
+        ("view 5R -o {}/new.html", 100_000),
     ],
 )
 def test_a_full_disk_leaves_nothing(line: str, size: int, measured: Path, tmp_path: Path) -> None:
@@ -264,7 +264,7 @@ CHOOSE = "select 5R --count 6 --candidates {}/candidates.csv --starts 1 -o new.c
 def test_pictures_need_no_cache_and_no_screen(tmp_path: Path) -> None:
     """Matplotlib's notice of where it keeps its fonts is not printed; its backend is no matter."""
     ended = subprocess.run(
-        [*PINCAL, "picture", "5R", "-o", "a.svg"],
+        [*PINCAL, "view", "5R", "-o", "a.svg"],
         cwd=tmp_path,
         env=os.environ | HERE | {"MPLCONFIGDIR": "/proc/nothing", "MPLBACKEND": "nonsense"},
         capture_output=True,

@@ -43,5 +43,5 @@ def test_each_command_takes_machines_with_closed_loops(name: str, tmp_path: Path
     done("simulate", tmp_path / name, plan, "-o", measured, "--noise-reading", "10um")
     done("calibrate", tmp_path / name, measured, "-o", result)
     assert (result / "report.html").stat().st_size > 10_000
-    done("view", tmp_path / name, result, "--html", tmp_path / "view.html")
+    done("view", tmp_path / name, result, "-o", tmp_path / "view.html")
     assert pincal.load_mechanism(result).legs

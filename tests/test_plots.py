@@ -147,31 +147,6 @@ def test_changes_move_the_platform_by_what_perturbed_machines_do(
     assert len(others) + 1 == sum(p.high > p.low for leg in result.legs for p in leg.parameters)
 
 
-def test_a_bed_needs_x_y_and_z(result: pincal.CalibrationResult) -> None:
-    """A five-bar has no bed: it is refused with what is needed."""
-    with pytest.raises(pincal.WorkspaceError, match="x, y and z"):
-        result.plot.bed()
-
-
-def test_a_bed_shows_how_far_the_nozzle_is_off() -> None:
-    """A delta's pixels are z where the identified machine goes, less what was commanded."""
-    mechanism = pincal.load_mechanism("linear_delta")
-    truth = pincal.disturb(mechanism, 1e-3, seed=1)
-    plan = pincal.sample_configurations(mechanism, 40, 0)
-    noise = pincal.Noise(1e-5)
-    data = pincal.simulate(mechanism, truth, plan, noise, 3).measurements
-    result = pincal.calibrate(mechanism, data, noise=noise)
-    image = result.plot.bed().images[0]
-    values, (left, right, low, high) = image.get_array(), image.get_extent()
-    row, column = np.argwhere(np.isfinite(values.filled(np.nan)))[100]
-    x = left + (right - left) * (column + 0.5) / values.shape[1]
-    y = low + (high - low) * (row + 0.5) / values.shape[0]
-    pose = np.array([[x, y, mechanism.platform.home[2]]])
-    readings = pincal.inverse(mechanism, pose).readings
-    there = pincal.forward(result.identified, readings, pose).poses[0]
-    assert values[row, column] == pytest.approx(1e3 * (there[2] - pose[0, 2]), abs=1e-3)
-
-
 def test_command_draws_across_a_page(result: pincal.CalibrationResult, tmp_path: Path) -> None:
     """A vector figure 170 mm wide, letters of 7 to 9 points; wrong kinds say which."""
     result.save(tmp_path / "result")

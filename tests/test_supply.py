@@ -48,7 +48,7 @@ for command in sys.argv[1].split(";"):
 @pytest.mark.slow
 def test_commands_need_no_network_and_warn_of_nothing(tmp_path: Path) -> None:
     """Workspace, selection, simulation, calibration, report and view: no socket, no warning."""
-    commands = ("check 5R", "demo 5R -o {}/demo", "view 5R {}/demo/result --html {}/a.html")
+    commands = ("check 5R", "demo 5R -o {}/demo", "view 5R {}/demo/result -o {}/a.html")
     line = ";".join(commands).replace("{}", str(tmp_path))
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", _ALONE, line], capture_output=True, text=True

@@ -67,7 +67,7 @@ def test_selected_poses_need_no_cable_to_push(tmp_path: Path) -> None:
     plan = pincal.select_poses(robot, pincal.sample_workspace(robot, 300, seed=0), 12).plan
     assert np.isfinite(programmed(robot, plan.poses, robot.load)).all()
     plan.to_csv(tmp_path / "plan.csv", robot)
-    done("view", "8cable", tmp_path / "plan.csv", "--html", tmp_path / "view.html")
+    done("view", "8cable", tmp_path / "plan.csv", "-o", tmp_path / "view.html")
     assert "least tension of cables [N]" in (tmp_path / "view.html").read_text("utf-8")
 
 

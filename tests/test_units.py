@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done, run
-from matplotlib.figure import Figure
 from measured import machine
 
 import pincal
 from pincal.files.measurements import read_measurements, read_readings
 from pincal.files.table import read_table
-from pincal.words.numbers import SMALL, UNITS, Units, reading_in, shown_in
+from pincal.words.numbers import Units
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
 COUNTS = 4096 / (2 * np.pi)
@@ -149,71 +148,6 @@ def test_units_that_are_none_are_refused(units: str, why: str, tmp_path: Path) -
     assert outcome.code == 2
     assert why in outcome.trouble
     assert not (tmp_path / "r.csv").exists()
-
-
-def test_tables_in_mm_and_degrees_on_request(counted: Path, encoders: Path, tmp_path: Path) -> None:
-    """Those of calibrate and check; what result.json holds stays SI, to the byte."""
-    pincal.calibrate(encoders, counted, noise=NOISE, folds=0).save(tmp_path / "si")
-    said = (*GIVEN, "--folds", 0, "--verbose", "--units", "cm,deg")
-    out = done("calibrate", "--no-report", encoders, counted, *said, "-o", tmp_path / "cm").out
-    assert " cm " in out
-    assert " ° " in out
-    assert " mm " not in out.split("parameters, nominal")[1]
-    first, second = ((tmp_path / name / "result.json").read_bytes() for name in ("si", "cm"))
-    assert first == second
-    shown = done("check", "3RRR", "--units", "mm,deg").out
-    assert "3464.102" in shown
-    assert "-150.0000" in shown
-
-
-@pytest.mark.parametrize("name", UNITS)
-def test_every_unit_of_tables_can_be_printed(name: str) -> None:
-    """Units to write in and units to print in are the same, with the same factors."""
-    dimension, factor = UNITS[name]
-    printed = Units({dimension: name}).printed
-    with reading_in(printed):
-        assert SMALL[dimension] == printed[dimension]
-        assert shown_in(factor, dimension) == pytest.approx(1.0, abs=1e-15)
-        assert UNITS[printed[dimension]] == UNITS[name]
-    assert SMALL["m"] == "mm"
-
-
-@pytest.mark.slow
-def test_the_report_is_in_the_units_asked_for(
-    counted: Path, encoders: Path, tmp_path: Path
-) -> None:
-    """Cards, sentences, tables and figures; the terminal's sentences alike."""
-    said = (*GIVEN, "--folds", 0, "--units", "in,deg")
-    out = done("calibrate", encoders, counted, *said, "-o", tmp_path / "in").out
-    own = without_code((tmp_path / "in" / "report.html").read_text())
-    for text in ("position [in]", "orientation [°]", " in in position", "° in orientation"):
-        assert text in own
-    assert not re.search(r"[0-9] mm|[0-9] mrad|\[mm\]|\[mrad\]", own)
-    assert not re.search(r"[0-9] mm|[0-9] mrad", out)
-    assert "position [in]" in out
-    assert "orientation [°]" in out
-    result = pincal.load_result(tmp_path / "in")
-    with reading_in(Units({"m": "in", "rad": "deg"}).printed):
-        axes = result.plot.error_map(Figure().subplots())
-    assert axes.get_xlabel() == "x [in]"
-
-
-@pytest.mark.slow
-def test_without_units_the_report_is_in_mm_and_mrad(
-    counted: Path, encoders: Path, tmp_path: Path
-) -> None:
-    """None of what ``--units in,deg`` prints stands there, and the terminal says the accuracy."""
-    said = (*GIVEN, "--folds", 0)
-    out = done("calibrate", encoders, counted, *said, "-o", tmp_path / "mm").out
-    usual = (tmp_path / "mm" / "report.html").read_text()
-    for text in ("position [in]", "orientation [°]", " in in position", "° in orientation"):
-        assert text not in usual
-    assert "position [mm]" in out
-
-
-def without_code(page: str) -> str:
-    """Return a page without the command that was typed."""
-    return re.sub(r"<pre>.*?</pre>", "", page, flags=re.DOTALL)
 
 
 @pytest.mark.parametrize(("units", "places"), [("", 12), ("mm,deg", 10), ("um,mrad", 9)])

@@ -144,10 +144,10 @@ def run_step(*words: object) -> None:
         raise typer.Exit(code)
 
 
-def say(*lines: str) -> None:
-    """Print lines of the answer that are not broken, however long: commands and paths."""
+def say(*lines: object) -> None:
+    """Print parts of the answer; lines are not broken, however long: commands and paths."""
     for line in lines:
-        stdout.print(line, soft_wrap=True)
+        stdout.print(line, soft_wrap=isinstance(line, str))
 
 
 @contextmanager

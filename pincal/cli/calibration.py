@@ -30,7 +30,6 @@ from pincal.option import option, option_of
 from pincal.show import answers, tables
 from pincal.show.explanation import advice, explanation_lines, remedy_table, tried
 from pincal.show.report import report
-from pincal.words.numbers import reading_in
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,6 @@ def calibrate(
     if options.poses != "own" and options.method != "per-leg":
         remark("--poses applies to --method per-leg only; all legs together use every pose")
     calibration = known.calibration(mech, measurements, options)
-    units = known.written_in(calibration.mechanism)
     refuse_existing(output, force=running.force, folder=RESULT_FILES)
     over = running.workspace
     poses = None if over is None else read_poses(over, calibration.mechanism)
@@ -147,7 +145,7 @@ def calibrate(
         try:
             progress("sampling the workspace for the platform's errors")
             origin: dict[str, Any] = {"command": typed(), "files": files}
-            page = report(result, **origin, units=known.units or "", workspace=poses)
+            page = report(result, **origin, workspace=poses)
             page.notes, errors = notes, page.errors
             page.steps = answers.next_steps(result, errors, again, shlex.quote(str(output)))
             if running.report:
@@ -155,15 +153,14 @@ def calibrate(
                 page.save(output / REPORT)
         except Exception as error:  # whatever it is, the result is written and stays
             undrawn = f"{type(error).__name__}: {error}"
-    with reading_in(units.printed):
-        line, style = answers.verdict(result, errors)
-        stdout.print(line, style=style)
-        warn(*answers.warnings(result))
-        shown = answers.summary(result, errors, notes)
-        if running.verbose:
-            shown += [*result.tables(), *answers.supporting_lines(result)]
-        for part in shown:
-            stdout.print(part)
+    line, style = answers.verdict(result, errors)
+    stdout.print(line, style=style)
+    warn(*answers.warnings(result))
+    shown = answers.summary(result, errors, notes)
+    if running.verbose:
+        shown += [*result.tables(), *answers.supporting_lines(result)]
+    for part in shown:
+        stdout.print(part)
     wrote(output)
     steps = answers.next_steps(result, errors, again, shlex.quote(str(output)))
     say(answers.next_line(steps))
@@ -191,11 +188,10 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
     with working("identifying parameters") as progress:
         options = replace(options, terms=options.terms or (AUTO,), progress=progress)
         explanation = explained(known.calibration(mech, measurements, options))
-    with reading_in(known.written_in(explanation.result.nominal).printed):
-        warn(*answers.warnings(explanation.result))
-        stdout.print(tables.screen_table(explanation))
-        stdout.print(tables.models_table(explanation))
-        say(*explanation_lines(explanation))
+    warn(*answers.warnings(explanation.result))
+    stdout.print(tables.screen_table(explanation))
+    stdout.print(tables.models_table(explanation))
+    say(*explanation_lines(explanation))
     if explanation.terms:
         added = (word for term in explanation.terms for word in ("--terms", term))
         say(f"  {again('calibrate', *added)}")
@@ -257,9 +253,8 @@ def doctor(
             tries.append(remedy)
             progress(tried(remedy))
     cures = [remedy for remedy in tries if remedy.works]
-    with reading_in(known.written_in(mechanism).printed):
-        stdout.print(remedy_table(tries))
-        say(*advice(tries))
+    stdout.print(remedy_table(tries))
+    say(*advice(tries))
     if len(cures) == 1:
         _say_cure(cures[0], known, measurements, output, force=force)
         return

@@ -51,13 +51,13 @@ from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show import explanation, tables
-from pincal.words.numbers import Units, amount, reading_in
+from pincal.words.numbers import Units, amount
 
 _FORECAST = 50  # poses, where no plan is given
 
 
 @dataclass(frozen=True)
-class SelectOptions(PlanOptions, PlanningOptions):
+class SelectOptions(TableOptions, PlanOptions, PlanningOptions):
     """How poses are chosen, and what is written."""
 
     sheet: Path | None = option(
@@ -153,7 +153,6 @@ def identifiability(
     --unknown-target or --setup say otherwise.
     """
     mechanism = pincal.load_mechanism(mech)
-    units = options.written_in(mechanism)
     setup = options.read_setup()
     if plan is not None:
         poses = read_poses(plan, mechanism, setup=setup)
@@ -172,14 +171,13 @@ def identifiability(
         mechanism, poses, with_reading_noise(noise, mechanism), measured, setup
     )
     error = expected.platform_error(workspace)
-    with reading_in(units.printed):
-        stdout.print(tables.standard_errors(expected))
-        stdout.print(*explanation.forecast_lines(expected, error), sep="\n")
-        if accuracy is not None:
-            needed = expected.poses_for(accuracy, workspace)
-            count = f"{needed:,.0f}" if np.isfinite(needed) else "no number of"
-            noisy = ", too many to measure: reduce the noise" * (1e5 < needed < np.inf)
-            stdout.print(f"for {amount(accuracy, 'm', 6)}: {count} poses like these{noisy}")
+    stdout.print(tables.standard_errors(expected))
+    stdout.print(*explanation.forecast_lines(expected, error), sep="\n")
+    if accuracy is not None:
+        needed = expected.poses_for(accuracy, workspace)
+        count = f"{needed:,.0f}" if np.isfinite(needed) else "no number of"
+        noisy = ", too many to measure: reduce the noise" * (1e5 < needed < np.inf)
+        stdout.print(f"for {amount(accuracy, 'm', 6)}: {count} poses like these{noisy}")
 
 
 @dataclass(frozen=True)

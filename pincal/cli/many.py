@@ -18,9 +18,9 @@ from pincal.calibration.calibrate import run
 from pincal.calibration.history import history_of
 from pincal.calibration.many import Workers, add_rows
 from pincal.calibration.options import By
-from pincal.cli.app import command, fail, say, stdout, typed, warn, working, wrote
+from pincal.cli.app import command, fail, say, typed, warn, working, wrote
 from pincal.cli.calibration import InputOptions, again
-from pincal.cli.options import Force, Mech, PlanOptions, TableOptions, offered, output_option
+from pincal.cli.options import Force, Mech, PlanOptions, offered, output_option
 from pincal.design.planning import with_reading_noise
 from pincal.design.simulate import ERROR
 from pincal.files.journal import FAILURE, Row, RowFile
@@ -33,7 +33,7 @@ from pincal.show.many import (
     row_columns,
     row_of_result,
 )
-from pincal.words.numbers import amount, reading_in
+from pincal.words.numbers import amount
 
 _Rows = Annotated[
     Path, output_option("TABLE", "Table with a row of each machine, .csv or .parquet.")
@@ -100,9 +100,7 @@ def montecarlo_(
             measured=None if drawn.measure is None else drawn.measured(mechanism, setup),
             seed=drawn.seed,
         )
-    with reading_in(drawn.written_in(mechanism).printed):
-        for line in montecarlo_lines(study):
-            stdout.print(line, soft_wrap=isinstance(line, str))
+    say(*montecarlo_lines(study))
     planning = {field.name for field in fields(PlanOptions)}
     dropped = [field for field in fields(MachinesOptions) if field.name not in planning]
     say(f"next: {again('identifiability', dropped=(*dropped, *fields(Options)))}")
@@ -167,10 +165,8 @@ def batch(
     with _growing(output) as progress:
         file = RowFile(output, row_columns(mechanism))
         columns = add_rows(make_row, items, file, running, progress)
-    with reading_in(known.written_in(mechanism).printed):
-        lines, bad = batch_lines(columns, mechanism)
-        for line in lines:
-            stdout.print(line, soft_wrap=isinstance(line, str))
+    lines, bad = batch_lines(columns, mechanism)
+    say(*lines)
     if bad:
         measured, dropped = (folder, folder / bad[0]), fields(BatchOptions)
         say(f"next: {again('doctor', measured=measured, dropped=dropped)}")
@@ -188,7 +184,6 @@ def history(
         list[Path],
         typer.Argument(metavar="RESULT…", help="Results of 'calibrate', or folders of them."),
     ],
-    options: TableOptions,
     output: Annotated[
         Path | None, output_option("HISTORY.html", "Page with charts of the parameters.")
     ] = None,
@@ -205,11 +200,9 @@ def history(
     --accuracy: until when the drift leaves the machine within it. Exit code 1 if it changed.
     """
     page = HistoryPage(history_of(results), accuracy)
-    with reading_in(options.written_in(page.history.results[0].nominal).printed):
-        for line in page.lines:
-            stdout.print(line, soft_wrap=isinstance(line, str))
-        if output is not None:
-            wrote(page.save(output, force=force))
+    say(*page.lines)
+    if output is not None:
+        wrote(page.save(output, force=force))
     step = "pincal deploy RESULT -o controller" if output else f"{typed()} -o HISTORY.html"
     say(f"next: {step}")
     if any(page.history.changes):

@@ -28,7 +28,7 @@ import pincal
 from pincal import FileError, MeasurementError, Mechanism, Noise, PincalError, Plan, Setup
 from pincal.calibration.session import Session, SessionOptions
 from pincal.cli.app import command, fail, say, stdout, warn, working
-from pincal.cli.options import Mech, PlanOptions, typed_name
+from pincal.cli.options import Mech, PlanOptions, TableOptions, typed_name
 from pincal.design.planning import sampled, with_reading_noise
 from pincal.files.columns import columns_of, reading_units
 from pincal.files.measurements import read_poses
@@ -74,13 +74,18 @@ class SourceOptions:
     )
 
 
+@dataclass(frozen=True)
+class MeasuredOptions(TableOptions, PlanOptions):
+    """What is measured, and in which units it is written."""
+
+
 @command
 def measure(
     mech: Mech,
     session: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the session.")],
     source: SourceOptions,
     session_options: SessionOptions,
-    options: PlanOptions,
+    options: MeasuredOptions,
     noise: Noise,
 ) -> None:
     """Measure with the robot beside you.

@@ -26,7 +26,6 @@ from pincal.model.consistency import home_gap
 from pincal.show.deployment import GridOptions
 from pincal.show.tables import nominal_table, symmetry_table
 from pincal.types import Mask
-from pincal.words.numbers import reading_in
 from pincal.words.wording import LISTED
 
 
@@ -41,14 +40,13 @@ def mechanisms() -> None:
 
 
 @command
-def check(mech: Mech, options: TableOptions) -> None:
+def check(mech: Mech) -> None:
     """Check a mechanism.
 
     Prints whether loops close at home, whether parameters are observable, and the symmetry.
     """
     mechanism = pincal.load_mechanism(mech)
-    with reading_in(options.written_in(mechanism).printed):
-        stdout.print(nominal_table(mechanism))
+    stdout.print(nominal_table(mechanism))
     for leg in mechanism.legs:
         gap = max(home_gap(leg, mechanism.platform))
         words = f"closes at home within {gap:.2g} m"

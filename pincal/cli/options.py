@@ -118,12 +118,11 @@ def refuse_options(options: Any, names: Iterable[str], purpose: str) -> None:
 
 @dataclass(frozen=True)
 class TableOptions:
-    """Units of what is read, written and printed."""
+    """Units of what is written."""
 
     units: str | None = option(
         None,
-        "Units to write and print in: m, cm, mm, um or in; rad, mrad, deg or turn; counts of "
-        "readings.",
+        "Units to write in: m, cm, mm, um or in; rad, mrad, deg or turn; counts of readings.",
         metavar="mm,deg",
     )
 
@@ -133,8 +132,8 @@ class TableOptions:
 
 
 @dataclass(frozen=True)
-class SetupOptions(TableOptions):
-    """What the measured numbers mean, and in which units they are."""
+class SetupOptions:
+    """What the measured numbers mean."""
 
     setup_file: Path | None = option(
         None,
@@ -153,7 +152,7 @@ class SetupOptions(TableOptions):
 
 @dataclass(frozen=True)
 class PlanOptions(SetupOptions):
-    """What will be measured, and in which units it is written."""
+    """What will be measured."""
 
     measure: str | None = option(
         None,

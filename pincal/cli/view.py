@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import webbrowser
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from threading import Event
@@ -18,13 +18,12 @@ from matplotlib.figure import Figure
 import pincal
 from pincal import CalibrationResult, FileError, MeasurementError, Mechanism, MechanismError, Plan
 from pincal.cli.app import command, say, stderr, warn, working, wrote
-from pincal.cli.options import FORCE, Force, Mech, output_option
+from pincal.cli.options import Force, Mech, output_option
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import is_folder
 from pincal.files.output import refuse_existing
 from pincal.files.table import read_table
 from pincal.model.checks import listed
-from pincal.option import option
 from pincal.show.charts import Plots
 from pincal.show.style import PAGE_WIDTH, drawing, picture_path, save_figure
 from pincal.show.view.scene import Scene
@@ -37,22 +36,14 @@ Shown = Annotated[
         help="Poses, a plan or measurements; or the folder of a calibration.",
     ),
 ]
-Magnify = Annotated[
-    float | None,
-    typer.Option(help="Magnification of errors [default: all poses assemble]."),
-]
 
 
-def _read(
-    mech: str, shown: Path | None, magnify: float | None
-) -> tuple[dict[str, Any], CalibrationResult | None]:
+def _read(mech: str, shown: Path | None) -> tuple[dict[str, Any], CalibrationResult | None]:
     """Return what is to be shown, as arguments of ``pincal.view``, and the result if it is one."""
     mechanism = pincal.load_mechanism(mech)
     if shown is None and (Path(mech) / "result.json").is_file():
         shown = Path(mech)
     if shown is None or not is_folder(shown):
-        if magnify is not None:
-            raise typer.BadParameter("--magnify is for the errors of a RESULT, and none is given")
         poses = {} if shown is None else {"poses": _plan(shown, mechanism)}
         return {"mechanism": mechanism, **poses}, None
     if not (shown / "result.json").is_file():
@@ -66,8 +57,7 @@ def _read(
     if result.nominal.leg_names != mechanism.leg_names:
         raise MechanismError(f"{shown} is of {result.nominal.name!r}, which has other legs")
     plan = replace(result.measurements, poses=result.poses)
-    arguments = {"mechanism": mechanism, "identified": result.identified, "poses": plan}
-    return arguments | ({} if magnify is None else {"magnify": magnify}), result
+    return {"mechanism": mechanism, "identified": result.identified, "poses": plan}, result
 
 
 def _plan(table: Path, mechanism: Mechanism) -> Plan:
@@ -101,72 +91,66 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
     return plan.rows(complete)
 
 
-@dataclass(frozen=True)
-class PageOptions:
-    """What the page holds, and where it goes."""
-
-    html: Path | None = option(None, "Write one file that opens anywhere, offline.", metavar="FILE")
-    open: bool = option(True, "Print the address without opening a browser.")
-    force: bool = option(False, FORCE)
+_PAGES = (".html", ".htm")
 
 
 @command
-def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify = None) -> None:
-    """Show a mechanism in the browser.
+def view(
+    mech: Mech,
+    shown: Shown = None,
+    output: Annotated[
+        Path | None,
+        output_option("FILE", "Page (.html) that opens anywhere; picture (.svg, .png, .pdf)."),
+    ] = None,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Print the address without opening a browser.")
+    ] = False,
+    force: Force = False,
+) -> None:
+    """Show a mechanism in the browser, or draw it into a file.
 
     The slider and the arrow keys step through the poses. Without POSES.csv these are home and
     samples of the workspace. With RESULT (alone, too) they are the measured ones, and the
     calibrated machine is shown where it goes when the nominal model drives it, errors magnified;
     arrows lead from measured to predicted points. The page is served to this machine alone, until
     Ctrl-C.
+
+    A picture has the mechanism at home, or at the first pose of POSES.csv, with all its poses as
+    faint lines in the colours of their sets. The same picture gives the same bytes.
     """
-    if options.html is not None and options.html.suffix.lower() not in (".html", ".htm"):
-        raise FileError(f"{options.html} would be a page; give it the ending .html")
-    arguments, result = _read(mech, shown, magnify)
-    if options.html is not None:
-        refuse_existing(options.html, force=options.force)
+    suffix = ".html" if output is None else output.suffix.lower()
+    if suffix not in (*_PAGES, ".svg", ".png", ".pdf"):
+        raise FileError(f"{output}: give it the ending .html, .svg, .png or .pdf")
+    arguments, result = _read(mech, shown)
+    if output is not None and suffix not in _PAGES:
+        refuse_existing(output, force=force)
+        with working("drawing"):
+            image = pincal.picture(**arguments)
+            image.save(output, force=force)
+        _say_unreached(image.scene)
+        wrote(output)
+        return
+    if output is not None:
+        refuse_existing(output, force=force)
     with working("placing the legs"):
         page = pincal.view(**arguments)
         if result is not None:
             page = page.with_result(result)
         page.html()
     _say_unreached(page.scene)
-    if options.html is not None:
-        page.save(options.html, force=options.force)
-        wrote(options.html)
+    if output is not None:
+        page.save(output, force=force)
+        wrote(output)
         return
     try:
         say(page.url)
         sys.stdout.flush()
-        if options.open and not webbrowser.open(page.url):
+        if not no_open and not webbrowser.open(page.url):
             stderr.print("no browser was found: open the address above in one")
         stderr.print("Ctrl-C ends")
         Event().wait()
     except KeyboardInterrupt:
         page.close()
-
-
-@command
-def picture(
-    mech: Mech,
-    output: Annotated[Path, output_option("FILE.svg|png|pdf", "The picture.")],
-    shown: Shown = None,
-    magnify: Magnify = None,
-    force: Force = False,
-) -> None:
-    """Draw a mechanism into a file, as 'pincal view' shows it.
-
-    It is drawn at home, or at the first pose of POSES.csv, with all its poses as faint lines in the
-    colours of their sets. With RESULT the calibrated machine is drawn too, its errors magnified.
-    The same picture gives the same bytes.
-    """
-    arguments, _ = _read(mech, shown, magnify)
-    refuse_existing(picture_path(output), force=force)
-    with working("drawing"):
-        image = pincal.picture(**arguments)
-        image.save(output, force=force)
-    _say_unreached(image.scene)
-    wrote(output)
 
 
 def _say_unreached(scene: Scene) -> None:
@@ -196,15 +180,12 @@ def plot(
     """Draw a figure of a calibration.
 
     It is 170 mm wide, with letters of 7 to 9 points. residuals: by row; images: residuals in camera
-    images; error_map: expected error over x and y; bed: z over a printer's bed.
+    images; error_map: expected error over x and y.
     """
     calibrated = pincal.load_result(result)
     refuse_existing(picture_path(output), force=force)
-    width = PAGE_WIDTH / 25.4
-    height = max(0.62 * width, 2.4)
-    with working("drawing"):
-        with drawing():
-            axes = Figure(figsize=(width, height), layout="compressed").subplots()
-            figure = getattr(calibrated.plot, kind)(axes).figure
+    with working("drawing"), drawing():
+        figure = Figure((PAGE_WIDTH / 25.4, 4.15), layout="compressed")
+        getattr(calibrated.plot, kind)(figure.subplots())
         save_figure(figure, output, force=force, whole=True)
     wrote(output)

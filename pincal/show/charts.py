@@ -17,10 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.transforms import Affine2D
 
-from pincal.calibration.promise import apart
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import MeasurementError, WorkspaceError
-from pincal.model.measurements import Plan
+from pincal.errors import MeasurementError
 from pincal.show.misses import camera_misses, level_poses, noisy_residuals
 from pincal.show.picture import shortened
 from pincal.show.style import (
@@ -168,26 +166,6 @@ class Plots:
             ax.set_title(f"z = {amount(height, 'm', 3, STORED)}".replace("-", "−"))
         return ax
 
-    def bed(self, ax: Axes | None = None) -> Axes:
-        """Draw the bed map: by how much z is off over the bed with the nominal model, as probed.
-
-        At the height of home, less what motions of frames explain that were fixed by choice.
-
-        Raises:
-            WorkspaceError: a machine without x, y and z, or no workspace at that height.
-        """
-        ax = ax or _axes(5.0, 4.2)
-        if self.result.nominal.platform.coordinates[:3] != ("x", "y", "z"):
-            raise WorkspaceError("no map: a bed needs a platform that moves in x, y and z")
-        x, y, _, poses, inside = level_poses(self.result, at_home=True)
-        heights = np.full(inside.shape, np.nan)
-        before, after = self.result.begun, self.result.identified
-        heights[inside] = apart(self.result, Plan(poses[inside]), before, after)[0][:, 2]
-        heights *= per_si("m")
-        most = float(np.nanmax(np.abs(heights)))
-        _draw_map(ax, x, y, heights, "z, true less commanded", cmap="RdBu_r", vmin=-most, vmax=most)
-        return ax
-
 
 def _axes(width: float, height: float) -> Axes:
     return Figure((width, height), layout="compressed").subplots()
@@ -199,8 +177,7 @@ def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str, **colour
     half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
     extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
     image = axes.imshow(values, origin="lower", extent=extent, **colours)
-    extend = "neither" if "vmin" in colours else "max"
-    axes.figure.colorbar(image, ax=axes, label=f"{name} [{SMALL['m']}]", extend=extend)
+    axes.figure.colorbar(image, ax=axes, label=f"{name} [{SMALL['m']}]", extend="max")
     axes.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
 
 

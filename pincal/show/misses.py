@@ -233,13 +233,11 @@ def effects(result: CalibrationResult) -> tuple[dict[str, float], str]:
     }, units[0]
 
 
-def level_poses(
-    result: CalibrationResult, *, at_home: bool = False
-) -> tuple[Array, Array, float | None, Array, Mask]:
+def level_poses(result: CalibrationResult) -> tuple[Array, Array, float | None, Array, Mask]:
     """Return x and y, (n,), [m], z, coordinates, (n, n, dof), and which are in the workspace.
 
-    For maps: rows of equal y, z in the middle of the workspace or at home (None in a plane), the
-    other coordinates as at home.
+    For maps: rows of equal y, z in the middle of the workspace (None in a plane), the other
+    coordinates as at home.
 
     Raises:
         WorkspaceError: no workspace was found, or it fills no plane.
@@ -255,7 +253,7 @@ def level_poses(
     poses = np.tile(platform.home, (count, count, 1))
     poses[..., 0], poses[..., 1] = x, y[:, None]
     if platform.coordinates[2:3] == ("z",):
-        height = platform.home[2] if at_home else float(np.median(samples[:, 2]))
+        height = float(np.median(samples[:, 2]))
         poses[..., 2] = height
     inside = in_workspace(nominal, poses.reshape(-1, platform.dof)).reshape(count, count)
     if not inside.any():

@@ -32,7 +32,7 @@ from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.picture import picture
 from pincal.show.style import page_figure
 from pincal.show.view.scene import MOST_POSES, VERIFICATION
-from pincal.words.numbers import SI, Units, capital, reading_in
+from pincal.words.numbers import capital
 from pincal.words.table import Table
 from pincal.words.wording import rendered
 
@@ -86,8 +86,6 @@ class Report(Page):
     notes: Sequence[str] = ()
     """What was not done, and why."""
     date: str = ""
-    units: Units = SI
-    """In which numbers are read."""
 
     @property
     def lines(self) -> list[str | Table]:
@@ -99,27 +97,25 @@ class Report(Page):
         return [first, *answers.summary(result, errors), *warnings, following]
 
     def __str__(self) -> str:
-        with reading_in(self.units.printed):
-            return "\n".join(map(str, self.lines))
+        return "\n".join(map(str, self.lines))
 
     @cached_property
     def _page(self) -> str:
         result, steps = self.result, self.steps or answers.next_steps(self.result, self.errors)
         parts = [self.date, f"{len(result.measurements)} rows", result.message]
-        with reading_in(self.units.printed):
-            return rendered(
-                "report.html",
-                kind="calibration",
-                name=result.nominal.name,
-                description=result.nominal.description,
-                subtitle=" · ".join(parts),
-                warnings=answers.warnings(result),
-                answers=answers.answers(result, self.errors, steps, self.notes),
-                sections=[
-                    {"name": name, "title": title, "parts": filter(None, parts)}
-                    for name, title, *parts in _sections(self)
-                ],
-            )
+        return rendered(
+            "report.html",
+            kind="calibration",
+            name=result.nominal.name,
+            description=result.nominal.description,
+            subtitle=" · ".join(parts),
+            warnings=answers.warnings(result),
+            answers=answers.answers(result, self.errors, steps, self.notes),
+            sections=[
+                {"name": name, "title": title, "parts": filter(None, parts)}
+                for name, title, *parts in _sections(self)
+            ],
+        )
 
 
 def report(
@@ -128,7 +124,6 @@ def report(
     command: str = "",
     files: Sequence[str | Path] = (),
     date: str | None = None,
-    units: str = "",
     workspace: Any = None,
 ) -> Report:
     """Return a report of a calibration: ``html()``, ``save(path)``, or shown by a notebook.
@@ -138,13 +133,12 @@ def report(
         command: What was typed, to say how to do it again.
         files: Files that were read; the report holds their SHA-256.
         date: When it was made; now if not given. Nothing else differs from one time to the next.
-        units: In which numbers are read, such as ``"in,deg"``; mm and mrad where not said.
         workspace: Poses, a plan or its file, over which errors are stated; samples of the whole
             workspace if not given.
 
     Raises:
         FileError: a file that cannot be read.
-        MeasurementError: a unit that is not understood; poses of a wrong shape.
+        MeasurementError: poses of a wrong shape.
     """
     if date is None:
         date = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
@@ -153,10 +147,9 @@ def report(
         for path in map(Path, files)
         if not path.is_fifo()  # a pipe is read once
     )
-    read = Units.of(units, result.nominal.counts, result.nominal.reading_names)
     poses = None if workspace is None else read_poses(workspace, result.nominal)
     errors = workspace_errors(result, poses) if result.converged else None
-    return Report(result, errors, command, hashes, date=date, units=read)
+    return Report(result, errors, command, hashes, date=date)
 
 
 def _sections(report: Report) -> list[tuple[Any, ...]]:
@@ -203,7 +196,6 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             "platform",
             "Error of the platform",
             _chart(result, "error_map"),
-            _chart(result, "bed") if result.nominal.platform.kind == "translational" else None,
         ),
         reproduction,
     ]

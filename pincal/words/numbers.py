@@ -6,9 +6,7 @@ One table of units for headers, options and everything printed. Values are SI wi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import floor, isfinite, log10, pi
 from typing import TypeAlias
@@ -34,40 +32,17 @@ UNITS: dict[str, tuple[str, float]] = {
     "turn": ("rad", 2 * pi),
     "px": ("px", 1.0),
 }
-#: Names that are printed otherwise than they are typed.
-PRINTED = {"deg": "°", "um": "µm", "μm": "µm"}
-
-_CHOSEN_UNITS: ContextVar[Mapping[str, str]] = ContextVar("units asked for")  # by SI unit
-
-
-class ReadUnits(dict[str, str]):
-    """The unit in which numbers are read, by SI unit: the usual one, or what is asked for."""
-
-    def __getitem__(self, unit: str) -> str:
-        return _CHOSEN_UNITS.get({}).get(unit) or super().__getitem__(unit)
-
-
-#: Values of parameters.
-VALUES = ReadUnits({"m": "mm", "rad": "deg", "1": "", "px": "px"})
+#: In which units values of parameters are read, by SI unit.
+VALUES = {"m": "mm", "rad": "deg", "1": "", "px": "px"}
 #: Small quantities: errors, residuals, standard deviations.
-SMALL = ReadUnits({"m": "mm", "rad": "mrad", "1": "", "px": "px"})
+SMALL = {"m": "mm", "rad": "mrad", "1": "", "px": "px"}
 #: Poses and readings.
-POSES = ReadUnits({"m": "mm", "rad": "°", "1": "", "px": "px"})
+POSES = {"m": "mm", "rad": "°", "1": "", "px": "px"}
 #: As they are stored.
-STORED = ReadUnits({"m": "m", "rad": "rad", "1": "1", "px": "px"})
+STORED = {"m": "m", "rad": "rad", "1": "1", "px": "px"}
 _LAST = 1e-6  # last digit shown of values whose uncertainty is not known, [m], [rad]
 #: Below what nobody measures, [1], [m], [rad].
 _FINEST = {"1": 1e-9, "m": 1e-7, "rad": 1e-7, "px": 1e-4}
-
-
-@contextmanager
-def reading_in(units: Mapping[str, str]) -> Iterator[None]:
-    """Let all that is printed meanwhile be read in other units, by SI unit: ``{"m": "in"}``."""
-    token = _CHOSEN_UNITS.set(units)
-    try:
-        yield
-    finally:
-        _CHOSEN_UNITS.reset(token)
 
 
 def shown_in(value: float, unit: str, units: Mapping[str, str] = SMALL) -> float:
@@ -180,7 +155,7 @@ SCALE = "give counts_per_unit of its sensor in mechanism.yaml (651.9 per rad for
 
 @dataclass(frozen=True)
 class Units:
-    """In which units columns and tables are written; SI where nothing else is said."""
+    """In which units columns are written; SI where nothing else is said."""
 
     names: Mapping[str, str] = field(default_factory=dict)
     """A key of ``UNITS`` for each SI unit, ``{"m": "mm"}``."""
@@ -238,11 +213,6 @@ class Units:
                 values = values.round(max(0, round(-np.log10(self.last * scale)))) + 0.0  # no -0.0
             written[f"{name} [{shown}]"] = values
         return written
-
-    @property
-    def printed(self) -> dict[str, str]:
-        """In which unit numbers are printed, by SI unit, where that was said."""
-        return {dimension: PRINTED.get(unit, unit) for dimension, unit in self.names.items()}
 
 
 SI = Units()
