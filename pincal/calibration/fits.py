@@ -297,7 +297,7 @@ def _fit_holding(
         patience = _PATIENCE if may_hold_more else system.max_evaluations
         holding = replace(system, unknowns=held.unknowns, max_evaluations=patience)
         try:
-            fit = robust_fit(mechanism, holding, loss, begin, near=near)
+            fit = robust_fit(holding, loss, begin, near=near)
             if fit.converged or not may_hold_more:
                 return fit, held
         except ObservabilityError:
@@ -319,7 +319,7 @@ def _measured(calibration: Calibration) -> Fits:
         free, counts = unknowns.part(names), calibration.counts[rows]
         system = System(problem, free, counts, calibration.noise.known, progress=options.progress)
         begin = problem.evaluate(problem.start(free.start))
-        fits.append(robust_fit(mechanism, system, loss_of(options.loss), begin))
+        fits.append(robust_fit(system, loss_of(options.loss), begin))
     return Fits(calibration, fits)
 
 
