@@ -1,4 +1,4 @@
-"""What residuals follow: chances of sums of squares, many tests as one, causes in common."""
+"""What residuals follow: many tests as one, causes in common."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 from cramer_rao import Machine, drawn, machine
 from measured import workspace
 from numpy.typing import NDArray
-from scipy.stats import beta
 
 import pincal
 from pincal.calibration.calibrate import prepared, started
@@ -17,30 +16,10 @@ from pincal.calibration.fits import fitted
 from pincal.calibration.terms.kinds import every_pair
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.estimation.observability.courses import scores, slips
-from pincal.estimation.observability.residuals import Residuals, above, together
+from pincal.estimation.observability.residuals import Residuals, together
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)
-
-
-@pytest.mark.parametrize("weights", [[1.0], [1.0, 1.0, 1.0], [0.02, 0.02, 0.5, 0.9, 1.0]])
-def test_weighted_sums_are_as_probable_as_draws_of_them(weights: list[float]) -> None:
-    """Within four errors of 100,000 draws, or 3 %, down to one in a thousand."""
-    rng, free, count = np.random.default_rng(0), 40, 100_000
-    squares = rng.standard_normal((count, len(weights))) ** 2
-    rest = rng.chisquare(free - len(weights), count)
-    shares = np.sort(squares @ weights / (squares.sum(axis=1) + rest))
-    for chance in (0.5, 0.1, 1e-2, 1e-3):
-        t = shares[-round(chance * count)]
-        found = above(np.array(weights), t, free)
-        assert abs(found - chance) < 4 * np.sqrt(chance / count) + 0.03 * chance
-
-
-def test_equal_weights_have_the_law_of_beta() -> None:
-    """Three equal weights, up to one in 10¹²: within 4 % of the beta distribution."""
-    t = np.array([0.2, 0.4, 0.6, 0.8])
-    found = [above(np.ones(3), share, 30) for share in t]
-    np.testing.assert_allclose(found, beta.sf(t, 1.5, 13.5), rtol=0.04)
 
 
 def test_what_parameters_take_up_is_not_seen() -> None:
@@ -50,9 +29,8 @@ def test_what_parameters_take_up_is_not_seen() -> None:
     error = draw.standard_normal((20, 2, 1))
     left = error[:, :, 0] - np.einsum("nmk,jlk,jl->nm", Q, Q, error[:, :, 0])
     residuals = Residuals(np.arange(20), left, Q, float((left**2).sum()) + 30.0, 37)
-    chances = residuals.chances([Q @ draw.standard_normal((3, 2)), error])
-    assert chances[0] == 1.0
-    assert chances[1] < 0.1
+    assert residuals.amplitudes(Q @ draw.standard_normal((3, 2))).p_value == 1.0
+    assert residuals.amplitudes(error).p_value < 0.1
 
 
 def test_tests_together_find_nothing_once_in_a_hundred_times() -> None:

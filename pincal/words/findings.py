@@ -147,7 +147,7 @@ FINDINGS: dict[str, Wording] = {
     ),
     "undetermined-held": Wording(
         "these measurements do not determine all parameters: {groups|groups}"
-        "{'; ' if groups and weak}{weak|listed ~ ' are weakly determined' if weak}",
+        "{'; ' if groups and weak}{weak|named ~ ' are weakly determined' if weak}",
         "They were held near nominal; the calibration holds only where it was measured",
     ),
     "far-from-nominal": Wording(

@@ -108,6 +108,7 @@ _FILTERS = {
     "g": lambda value, digits=3: f"{value:.{digits}g}",
     "groups": groups_in_words,
     "listed": listed,
+    "named": named,
     "joint": lambda loop: "" if loop.first else " and " if loop.last else ", ",
     "number": number,
     "percent": percent,

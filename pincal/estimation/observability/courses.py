@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.observability.residuals import Residuals
+from pincal.estimation.observability.residuals import TAKEN, Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.influences import sides
@@ -94,16 +94,13 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
     residuals, results = Residuals.of(fit), list[Score]()
     used, errors = residuals.used, errors_of(fit, residuals.used)
     kinds, of_kind = _kinds(fit, errors)
-    tests = list(_course_tests(fit, errors, used))
-    chances = residuals.chances([rows for *_, rows in tests])
-    for (quantity, term, course), chance in zip(tests, chances, strict=True):
-        share = correlation = 0.0
-        if chance < FALSE_ALARM:
-            share = residuals.amplitudes(course).inside / residuals.chi2
-            if term == "order":
-                peers = of_kind[kinds[quantity]] if quantity in errors else course
-                correlation = residuals.alike_after(course, peers)
-        results.append(Score(quantity, term, chance, share, correlation=correlation))
+    for quantity, term, course in _course_tests(fit, errors, used):
+        followed, correlation = residuals.amplitudes(course, TAKEN), 0.0
+        if term == "order" and followed.p_value < FALSE_ALARM:
+            peers = of_kind[kinds[quantity]] if quantity in errors else course
+            correlation = residuals.alike_after(course, peers)
+        share = followed.inside / residuals.chi2
+        results.append(Score(quantity, term, followed.p_value, share, correlation=correlation))
     for name, error in errors.items():
         row, after, step = residuals.step(error)
         correlation, size = 0.0, -float(step.values[0])
@@ -192,7 +189,7 @@ def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
     units = [unit for leg in block.legs for unit in leg.reading_units]
     by_value = []
     for value, unit in zip(block.readings[used].T, units, strict=True):
-        if unit == "rad":
+        if unit == "rad" and np.ptp(value) > np.pi:
             by_value += [[f(k * value) for k in _HARMONICS for f in (np.sin, np.cos)]]
         else:
             along = (value - value.mean()) / (float(np.ptp(value)) or 1.0)

@@ -15,24 +15,20 @@ Wᵀ M W = WᵀW − (QᵀW)ᵀ QᵀW.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import fdtrc, ndtr
+from scipy.special import fdtrc
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.identifiable import NEGLIGIBLE, RANK_TOLERANCE
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.system import UNLIKELY
 from pincal.kinematics.batches import least_squares, over_rows, product
-from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
 
 _MUCH = 0.25  # of what a step takes up, that is left correlated from row to row
-_TAKEN = 1e-4  # of a step's squares: parameters take up one of which they leave no more
+TAKEN = 1e-4  # of squares: parameters take up that of which they leave no more, but for noise
 _ALIKE = 1.75  # standard errors of a correlation from row to row, above which it is one
 
 
@@ -154,15 +150,12 @@ class Residuals:
         left = fit.last.residuals[fit.good] - fit.Q @ fit.normal.c
         return cls(np.flatnonzero(fit.good), left, fit.Q, fit.normal.left, fit.degrees_of_freedom)
 
-    def projected(self, W: Array) -> tuple[Array, Array, Array]:
-        """Return Wᵀ M W, Wᵀ M r and the squared columns of W, of white rows (n_used, m, f)."""
-        gram, taken = over_rows(W, W), over_rows(self.Q, W)
-        along = over_rows(W, self.left[:, :, None])[:, 0]
-        return gram - taken.T @ taken, along, np.diagonal(gram)
+    def amplitudes(self, W: Array, least: float = NEGLIGIBLE**2) -> Amplitudes:
+        """Return the amplitudes of terms that residuals ask for, by white rows (n_used, m, f).
 
-    def amplitudes(self, W: Array) -> Amplitudes:
-        """Return the amplitudes of terms that residuals ask for, by white rows (n_used, m, f)."""
-        C, along, hidden = self._resolved(W)
+        Of combinations of whose squares parameters leave more than a least share.
+        """
+        C, along, hidden = self._resolved(W, least)
         f, rank = C.shape
         if not 0 < rank < self.degrees_of_freedom:
             return Amplitudes(np.zeros(f), np.full(f, np.inf), 0.0, 0, 0.0, 1.0)
@@ -197,16 +190,18 @@ class Residuals:
         clear = correlation * np.sqrt(along.size) > _ALIKE
         return correlation if clear and lagged > _MUCH * (self.chi2 - remaining.chi2) else 0.0
 
-    def _resolved(self, W: Array) -> tuple[Array, Array, Array]:
+    def _resolved(self, W: Array, least: float = NEGLIGIBLE**2) -> tuple[Array, Array, Array]:
         """Return combinations C of errors, and what residuals say of them.
 
         C makes M W C orthonormal, shape (f, rank); then (M W C)ᵀ r, shape (rank,), and which errors
         parameters take up in part, shape (f,).
         """
-        information, along, squares = self.projected(W)
+        gram, taken = over_rows(W, W), over_rows(self.Q, W)
+        information, squares = gram - taken.T @ taken, np.diagonal(gram)
+        along = over_rows(W, self.left[:, :, None])[:, 0]
         lengths = np.sqrt(np.where(squares > 0.0, squares, 1.0))
         s, V = np.linalg.eigh(information / np.outer(lengths, lengths))
-        resolved = s > NEGLIGIBLE**2
+        resolved = s > least
         C = V[:, resolved] / np.sqrt(s[resolved]) / lengths[:, None]
         hidden = (V[:, ~resolved] ** 2).sum(axis=1) > RANK_TOLERANCE
         return C, C.T @ along, hidden
@@ -224,7 +219,7 @@ class Residuals:
             for rows in (along, turned @ W, self.Q.transpose(0, 2, 1) @ W)
         )
         information = squares - taken.transpose(0, 2, 1) @ taken
-        least = _TAKEN * np.trace(squares, axis1=1, axis2=2)
+        least = TAKEN * np.trace(squares, axis1=1, axis2=2)
         known = np.linalg.eigvalsh(information)[:, 0] > np.maximum(least, 1e-300)
         known[:1] = known[-1:] = False  # a row of its own is an outlier
         places = np.flatnonzero(known)
@@ -236,48 +231,6 @@ class Residuals:
         after = W * (self.used >= row)[:, None, None]
         answer = self.amplitudes(after)
         return row, after, replace(answer, p_value=min(1.0, answer.p_value * len(places)))
-
-    def chances(self, errors: Sequence[Array]) -> list[float]:
-        """Return the probability of so much along errors, or more; 1 if nothing of them is seen.
-
-        Of each white rows W, shape (n_used, m, f), whose amplitudes are as large as each other.
-        """
-        chances = []
-        for information, along, squares in map(self.projected, errors):
-            weights, chance = np.linalg.eigvalsh(information), 1.0
-            visible = weights[-1] > NEGLIGIBLE**2 * squares.sum() > 0.0 and self.chi2 > 0.0
-            if visible and len(weights) < self.degrees_of_freedom:
-                share = float(along @ along) / weights[-1] / self.chi2
-                relative = weights.clip(0.0) / weights[-1]
-                chance = above(relative, share, self.degrees_of_freedom)
-            chances.append(chance)
-        return chances
-
-
-def above(weights: Array, share: float, degrees_of_freedom: int) -> float:
-    """Return the probability that a weighted sum of squares is above a share of all squares.
-
-    Σ λᵢ zᵢ² > t Σ zⱼ² of independent normal numbers z, i to k and j to all degrees of freedom, by
-    the saddle point (R. Lugannani and S. Rice 1980). Weights λ, shape (k,), are 0 to 1 with a 1
-    among them, the share t is 0 to 1.
-    """
-    t = float(np.clip(share, RANK_TOLERANCE, 1.0 - RANK_TOLERANCE))
-    if (weights > RANK_TOLERANCE).sum() == 1:  # exact of one square
-        free = degrees_of_freedom - 1
-        return float(fdtrc(1, free, free * t / (1.0 - t)))
-    c = np.append(weights - t, -t)
-    count = np.append(np.ones(len(weights)), degrees_of_freedom - len(weights))
-    low, high = -0.5 / t, 0.5 / (1.0 - t)
-
-    def rise(s: float) -> float:  # of K, times what is zero where it has no end
-        return float((count * c / (1.0 - 2.0 * s * c)).sum()) * (s - low) * (high - s)
-
-    saddle = float(brentq(rise, (1.0 - ROUNDING) * low, (1.0 - ROUNDING) * high))
-    factors = 1.0 - 2.0 * saddle * c
-    K = -0.5 * float(count @ np.log(factors))
-    w = float(np.sign(saddle)) * np.sqrt(max(-2.0 * K, 0.0))
-    v = saddle * np.sqrt(2.0 * float(count @ (c / factors) ** 2))
-    return 0.5 if abs(w) < UNLIKELY else float(ndtr(-(w + np.log(v / w) / w)))  # 0.5 at the mean
 
 
 def together(p_values: Array, weights: Array) -> float:
