@@ -882,6 +882,14 @@ def test_loops_close_within_limits(tmp_path: Path) -> None:
     assert "outside its limits" not in outcome.err
 
 
+def test_freedoms_without_a_drive_are_said(tmp_path: Path) -> None:
+    """A five-bar of one motor imports, and it is said that readings give no pose."""
+    yaml = FIVE_BAR_YAML.replace("'mot1', 'mot2'", "'mot1'") + "platform: b2\n"
+    file = written(tmp_path, urdf("fivebar", FIVE_BAR, "base"), yaml)
+    said = " ".join(done("import", file, "-o", tmp_path / "bar").err.split())
+    assert "drives leave 1 of the platform's 3 freedoms open" in said
+
+
 def test_balls_and_drives_by_parts_of_names(tmp_path: Path) -> None:
     """YAML of other years says the same machine; joints that a URDF has not are left out, said."""
     file = ankle(tmp_path)

@@ -114,6 +114,9 @@ def closed_mechanism(
             legs.append(displaced(leg, stems, axes, held=held))
         name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
         mechanism = Mechanism(name, placed, tuple(legs), f"From {tree.source}.")
+        if (idle := placed.dof - mechanism.constraints) > 0:
+            free_ways = f"{idle} of the platform's {placed.dof} freedoms"
+            remarks.append(f"the drives leave {free_ways} open: no pose follows from readings")
         return mechanism, (*_joints_moved(bare, mechanism, tree.slack), *remarks)
 
 

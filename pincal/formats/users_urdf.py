@@ -143,7 +143,7 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
             placements |= chain
             shifts.append((urdf[list(chain)[-1]].child, _shift(urdf, calibrated)))
     for last, T_link_platform in shifts:
-        if not _is_nothing(T_link_platform):
+        if np.abs(T_link_platform - np.eye(4)).max() > ROUNDING:
             placements |= _moved(path, urdf, placements, last, T_link_platform)
     changed = {
         name: placement_of(origin)
@@ -213,7 +213,8 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
             held = joint is leg.joints[-1] and leg.closes == "frame"  # see ``_shift``
             zeros = dict.fromkeys(joint.placement.parameter_units, 0.0)
             nominal = leg.with_parameters(zeros).joints[leg.joints.index(joint)].placement.origin()
-            if not held and not _is_nothing(np.linalg.inv(nominal) @ joint.placement.origin()):
+            moved = np.abs(np.linalg.inv(nominal) @ joint.placement.origin() - np.eye(4)).max()
+            if not held and moved > ROUNDING:
                 raise MechanismError(
                     f"{path} has no joint {joint.name!r}, whose place was calibrated; give "
                     f"the URDF that the mechanism was made from, or hold {', '.join(zeros)} "
@@ -254,10 +255,6 @@ def _shift(urdf: Edges, leg: Leg) -> Array:
         nominal = leg.with_parameters(dict.fromkeys(names, 0.0)).point.placement.xyz
         shift[:3, 3] = np.subtract(nominal, leg.point.placement.xyz)
     return shift
-
-
-def _is_nothing(matrix: Array) -> bool:
-    return bool(np.abs(matrix - np.eye(4)).max() <= ROUNDING)
 
 
 def _rewritten(path: Path, origins: Mapping[str, Placement]) -> bytes:

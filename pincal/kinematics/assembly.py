@@ -46,7 +46,6 @@ def assembled(
     free = Platform.at_origin(platform.kind, platform.twist)
     closures, size = [LegClosure(leg, free) for leg in legs], max(leg.size for leg in legs)
     home, scales = (np.concatenate([getattr(leg, k) for leg in legs]) for k in ("home", "scales"))
-    turning = np.array([joint.turns for leg in legs for joint in leg.moving])
     low, high = np.concatenate([joint_range(leg) for leg in legs], axis=1)
     enough = max(slack, _CLOSED) * size
     poses, joints, gaps = _closed(closures, _fitted(closures, home[None]), home[None], _SINGULAR)
@@ -58,7 +57,6 @@ def assembled(
         drawn = np.concatenate([_fitted(closures, start[None]) for start in starts])
         further = _closed(closures, drawn, starts, max(slack, _SINGULAR), low, high)
         poses, joints, gaps = map(np.concatenate, zip((poses, joints, gaps), further, strict=True))
-    joints = joints - 2 * np.pi * turning * np.round((joints - (low + high) / 2) / (2 * np.pi))
     outside = (joints != np.clip(joints, low, high)).any(axis=1)
     moved = (np.abs(joints - home) / scales).max(axis=1)
     best = int(np.lexsort((moved, outside, np.where(gaps > enough, gaps, 0.0)))[0])
@@ -107,7 +105,7 @@ def _closed(
     """Return poses (N, 4, 4) and joints of all legs (N, n), closed nearby, and largest gaps, (N,).
 
     Along singular values below the least, over the size of the largest leg, [m], nothing moves.
-    Within limits, if lower and upper ones are given, (n,) each, joints stay at first.
+    Joints stay within limits at first, if given, (n,) each. Full turns are taken off at the end.
     """
     platform, size = closures[0].platform, max(closure.size for closure in closures)
     turning = [unit == "rad" for unit in platform.units]
@@ -129,7 +127,9 @@ def _closed(
         poses, joints = platform.displaced(poses, twists), joints + moves
         if limits and step < _STEPS // 2:
             joints = np.clip(joints, *limits)
-    return poses, joints, largest
+    middle = np.concatenate([joint_range(closure.leg) for closure in closures], axis=1).mean(axis=0)
+    turns = np.round((joints - middle) / (2 * np.pi)) * turning[platform.dof :]
+    return poses, joints - 2 * np.pi * turns, largest
 
 
 def cut_in_gap(values: Array, least: float) -> float:
