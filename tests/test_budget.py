@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 261,
     "architectures": 625,
-    "calibration": 6_774,
+    "calibration": 6_771,
     "cli": 2_778,
     "design": 2_336,
     "estimation": 4_657,

@@ -44,7 +44,7 @@ def test_noise_is_found_in_a_few_rounds(
 
 @pytest.mark.parametrize("name", ["3RRR", "5R"])
 def test_noise_that_stays_is_not_fitted_again(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After the fit that finds it, one at what was found, and one at all that is left of χ²."""
+    """After the fit that finds it, one or two at what was found, whose χ² is all there is."""
     count, robust_fit = [], fits.robust_fit
     monkeypatch.setattr(fits, "robust_fit", lambda *a, **k: count.append(1) or robust_fit(*a, **k))
     nominal = pincal.load_mechanism(name)
@@ -53,7 +53,7 @@ def test_noise_that_stays_is_not_fitted_again(name: str, monkeypatch: pytest.Mon
     data = pincal.simulate(nominal, truth, pincal.Plan(poses), noise, 2).measurements
     result = pincal.calibrate(nominal, data)
     assert len(count) <= 3  # 11, as what was scaled was compared with what was not
-    assert result.reduced_chi2 == pytest.approx(1.0, abs=fits.SCALE_OFF)
+    assert result.reduced_chi2 == pytest.approx(1.0, abs=5e-3)
 
 
 def test_few_rows_leave_no_group_without_noise() -> None:

@@ -46,7 +46,6 @@ _HELD_MORE = 10.0  # times better determined are directions held next if a searc
 _HELD_MOST = 100.0  # times better than machines differ: those are always free
 _PATIENCE = 500  # evaluations of a search before more directions are held
 _REFITS = 5  # with noise that was estimated
-SCALE_OFF = 5e-3  # of the scale of the noise that was estimated: fitted once more
 SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
 
 
@@ -160,9 +159,6 @@ def _with_estimated_noise(fits: Fits) -> Fits:
         if _agree(fits.noise, estimate):
             break
         fits = _again(fits, estimate)
-    scale = float(np.mean([fit.noise_scale for fit in fits.fits]))
-    if fits.sound and abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group is at its floor
-        fits = _again(fits, Noise(*(scale * value for value in vars(fits.noise).values())))
     moments = fits.moments
     if not fits.sound or moments.rounding:
         return fits
@@ -197,7 +193,8 @@ def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> No
             measured = None if fits.latent else calibration.measured_problem(names)[0]
             refits.append(fit.at_noise_of(measured or calibration.latent_problem))
         fits = replace(fits, calibration=calibration, fits=refits)
-    return fits.noise
+    scale = moments.scale**0.5 or 1.0  # not one where some are assumed to be alike
+    return Noise(*(scale * value for value in vars(fits.noise).values()))
 
 
 def _agree(noise: Noise, estimate: Noise) -> bool:

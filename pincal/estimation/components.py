@@ -90,13 +90,13 @@ class Moments:
     def off_zero(self, *, exact: bool) -> Moments:
         """Return moments by which no variance is zero; that of readings if these may be exact.
 
-        The likelihood is taken times each standard deviation over that of all, expanded here: few
+        The likelihood is taken times each standard deviation over their mean, expanded here: few
         rows may leave a group no variance, and it is no less noisy for that (Y. Chung et al.,
         Psychometrika 2013).
         """
-        noisy = np.diagonal(self.F) > 0.0
-        noisy[_R] &= not exact
-        shares = self.F.sum(axis=1) / max(self.F.sum(), 1.0)  # of all freedoms
+        weights = np.maximum(np.diagonal(self.F), 0.0)
+        weights[_R] *= not exact
+        noisy, shares = weights > 0.0, weights / max(weights.sum(), 1e-300)
         pulled = self.scale * (2.0 * noisy - noisy.sum() * shares)
         return replace(self, F=self.F + np.diag(noisy), q=self.q + pulled)
 
