@@ -10,18 +10,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 _LONG_VALUE = re.compile(r"(?<!\w)(['\"])(?:(?!\1).){200,}\1|\S{300,}", re.DOTALL)
-_LONGEST = 1500  # characters of a message
 
 
 class PincalError(Exception):
     """Root of every error raised on purpose; its text says what, where, expected, what to do."""
 
     def __init__(self, message: str = "") -> None:
-        """Take a message, long values in it and what is beyond 1,500 characters cut out."""
-        message = _LONG_VALUE.sub(lambda value: f"{value[0][:100]}…{value[0][-20:]}", message)
-        if len(message) > _LONGEST:
-            message = f"{message[: _LONGEST - 300]} … {message[-290:]}"
-        super().__init__(message)
+        """Take a message, long values in it cut out."""
+        super().__init__(_LONG_VALUE.sub(lambda x: f"{x[0][:100]}…{x[0][-20:]}", message))
 
 
 class MechanismError(PincalError, ValueError):
@@ -50,6 +46,17 @@ class SymmetryError(PincalError, ValueError):
 
 class FileError(PincalError, OSError):
     """A file or folder that cannot be read, or must not be overwritten."""
+
+
+@contextmanager
+def explaining(failure: str, *kinds: type[Exception]) -> Iterator[None]:
+    """Say, by a FileError, what an error of the system meant, or one of further kinds."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, PincalError) or not isinstance(error, (OSError, *kinds)):
+            raise
+        raise FileError(f"{failure}: {getattr(error, 'strerror', None) or error}") from error
 
 
 @contextmanager

@@ -13,17 +13,17 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 261,
+    "": 268,
     "architectures": 625,
     "calibration": 6_771,
-    "cli": 2_778,
+    "cli": 2_794,
     "design": 2_336,
-    "estimation": 4_657,
-    "files": 3_367,
+    "estimation": 4_655,
+    "files": 3_337,
     "formats": 3_493,
     "instruments": 1_561,
     "kinematics": 3_339,
-    "model": 3_604,
+    "model": 3_612,
     "show": 4_204,
     "symmetry": 1_374,
     "words": 953,

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from command_line import contents, done, run, unnamed
 from marks import quick, some_slow
 
 import pincal
-from pincal.cli.app import app
+from pincal.cli.app import app, working
 from pincal.files.measurements import read_readings
 from pincal.files.mechanism_folders import bundled
 
@@ -821,6 +822,21 @@ def test_control_characters_are_escaped(name: str, work: Path) -> None:
     said += run("calibrate", name, f"{name}.csv", "-o", "new").err
     assert not set(said) - {"\n"} & {chr(c) for c in [*range(32), 127, 0x202E]}
     assert ascii(name)[1:-1] in said
+
+
+def test_what_takes_long_is_said_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A line every half minute (here: every moment) says what is done, and since when."""
+    monkeypatch.setattr("pincal.cli.app._REMIND", 1e-3)
+    with working("looking at photos", 9) as step:
+        step(3)
+        time.sleep(0.2)
+    lines = capsys.readouterr().err.splitlines()
+    assert (lines[0], *lines[-2:]) == (
+        "looking at photos …",
+        *["looking at photos: 3 of 9 … 0 s"] * 2,
+    )
 
 
 def test_messages_are_no_longer_than_can_be_read(work: Path) -> None:

@@ -326,7 +326,7 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
             (YAML, "    tip:\n    - {x: L}\n", ""),
             (YAML, "    L: 1.5\n", ""),
         ],
-        [YAML, "leg_1", "'elbow', 'elbow'", "repeat"],
+        [LEG, "two joints are called 'elbow'"],
     ),
     "axis-zero": ([(LEG, AXIS, '<axis xyz="0 0 0"/>')], [LEG, "line", "'shoulder'", "axis"]),
     "axis-in-plane": ([(LEG, AXIS, '<axis xyz="1 0 0"/>')], [YAML, "leg_1", "'shoulder'", "plane"]),

@@ -171,7 +171,7 @@ def test_numbers_of_urdf_and_tables_are_plain(number: str, folder: Path) -> None
 def test_a_name_for_two_points_is_refused(folder: Path) -> None:
     """Points of a platform that share a name, of joint or link, are told by line."""
     edit(folder / PLATFORM, 'joint name="b_2"', 'joint name="b_1"')
-    with pytest.raises(MechanismError, match=r"platform\.urdf: 'b_1' names two points"):
+    with pytest.raises(MechanismError, match=r"platform\.urdf: two joints are called 'b_1'"):
         pincal.load_mechanism(folder)
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 import pytest
 from closed_forms import angles, near, reading
 from differences import assert_derivative, differentiated
@@ -507,11 +509,20 @@ def test_parameters_that_move_too_far_are_doubted() -> None:
     assert not any("more than a machine" in text for text in rough.warnings)
 
 
-def test_an_orientation_in_part_is_refused() -> None:
+def test_an_orientation_in_part_is_refused(tmp_path: Path) -> None:
     """By its row, and by the column that a table lacks: no angle is dropped in silence."""
     mechanism, _, data = machine("6UPS", noise=EXACT)
     with pytest.raises(pincal.MeasurementError, match="row 3: an orientation is measured in part"):
         pincal.calibrate(mechanism, put(data, "poses", np.s_[2, 3], np.nan), noise=NOISE)
+    for way, column in (("rotation-vector", "ry"), ("quaternion", "qz"), ("tilt-torsion", "tilt")):
+        data.to_csv(tmp_path / f"{way}.csv", mechanism, orientation=way)
+        cells = pandas.read_csv(tmp_path / f"{way}.csv")
+        cells.loc[2, next(name for name in cells if name.startswith(column))] = np.nan
+        cells.to_csv(tmp_path / f"{way}.csv", index=False)
+        with pytest.raises(
+            pincal.MeasurementError, match=rf"{way}\.csv, line 4: an orientation is"
+        ):
+            pincal.calibrate(mechanism, tmp_path / f"{way}.csv", noise=NOISE)
     table = data.to_dataframe(mechanism)
     lone = table.drop(columns=["azimuth [rad]", "torsion [rad]"])
     with pytest.raises(pincal.MeasurementError, match="no column 'azimuth' beside 'tilt'"):

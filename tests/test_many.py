@@ -68,6 +68,18 @@ def test_rows_are_made_once_and_go_on_where_they_ended(tmp_path: Path) -> None:
         assert path.read_bytes() == foreign
 
 
+def test_what_is_wrong_with_a_file_is_said_of_it(tmp_path: Path) -> None:
+    """A folder among tables, a file in a folder's place, a plan that is not there: exit code 2."""
+    (tmp_path / "line" / "a.csv").mkdir(parents=True)
+    outcome = run("batch", "5R", tmp_path / "line", "-o", tmp_path / "t.csv")
+    assert outcome.code == 2
+    assert outcome.trouble == f"pincal: {tmp_path / 'line' / 'a.csv'}: Is a directory"
+    absent = run("montecarlo", "5R", tmp_path / "plan.csv", "-o", tmp_path / "t.csv")
+    assert absent.code == 2
+    assert "calibrating" not in absent.err
+    assert not (tmp_path / "t.csv").exists()
+
+
 def test_a_study_says_first_what_calibrated_machines_reach(plan: Path, tmp_path: Path) -> None:
     """One number first, the next command last; the same rows by the command and in Python."""
     outcome = done("montecarlo", "5R", plan, *TYPED, "--machines", 2, "-o", tmp_path / "t.csv")

@@ -447,6 +447,17 @@ def test_outputs_that_belong_together_never_differ(exists: bool, tmp_path: Path)
     assert 5 < step < 999
 
 
+def test_what_lies_below_a_folder_of_others_is_not_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is refused at once, however much it holds: a home, or a whole disk."""
+    (tmp_path / "home" / "below").mkdir(parents=True)
+    monkeypatch.setattr(Path, "rglob", lambda *_: pytest.fail("it was walked through"))
+    outcome = run("deploy", "5R", "-o", tmp_path / "home", "--force")
+    assert outcome.code == 2
+    assert "is not a folder that pincal wrote" in outcome.trouble
+
+
 def test_outputs_that_belong_together_fail_together(tmp_path: Path) -> None:
     """If the second cannot take its place, the first is as it was, and there is no backup."""
     write_pair(tmp_path, "old")

@@ -325,6 +325,21 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     assert "noise" not in resumed.err
     moved = pincal.disturb("3RRR", 1e-3, seed=1)
     moved.save("moved")
+    resumed = done(*command, "--plan", "other.csv")
+    assert (
+        f"poses are those of {Path('s', 'plan.csv')}, with which the session began" in resumed.err
+    )
+    refused = run("measure", "5R", "--session", "new", "--terminal", "--plan", "other.csv")
+    assert refused.code == 2
+    assert not Path("new").exists()
+    for damaged in (b"\xff", b"[]", b"{", b'{"Noise": {"position": "x"}}', b'{"mechanism": 3}'):
+        options = Path("s", "options.json")
+        before = options.read_bytes()
+        options.write_bytes(damaged)
+        refused = run(*command)
+        assert f"pincal: delete {options}, and type its options again: " in refused.err
+        assert options.read_bytes() == damaged
+        options.write_bytes(before)
     refused = run("measure", "moved", *command[2:])
     assert refused.code == 2
     assert "s is a session of '3RRR', and '3RRR' has other parameters" in refused.err

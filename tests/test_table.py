@@ -305,31 +305,18 @@ def test_points_and_commas_are_not_mixed(tmp_path: Path) -> None:
         pincal.Measurements.from_csv(path, THREE)
 
 
-@pytest.mark.parametrize(
-    ("separator", "cells"),
-    [
-        (",", ['"1,234.5"', "-0.25", '"12,000"']),
-        (";", ["1.234,5", "-0,25", "12.000"]),
-        (";", ["1 234,5", "-0,25", "12\u00a0000"]),
-        (";", ["1'234.5", "-0.25", "12’000"]),
-    ],
-)
-def test_thousands_are_separated_in_any_way(
-    separator: str, cells: list[str], tmp_path: Path
-) -> None:
-    """1234.5, -0.25 and 12000 as people and programs write them, under titles of their own."""
-    path = tmp_path / "thousands.csv"
-    head, row = HEADER.replace(",", separator), separator.join([*cells, "4", "5", "6"])
-    for titles in (
-        "",
-        "Measured on Monday\n",
-        f"# tracker{separator} day 2\n\nline 2\n",
-        "sep=,\n",
-    ):
-        path.write_text(f"{titles}{head.replace('[rad]', '[deg]').replace('[m]', '[mm]')}\n{row}\n")
-        data = pincal.Measurements.from_csv(path, THREE)
-        np.testing.assert_allclose(data.poses[0, :2], [1.2345, -0.25e-3])
-        np.testing.assert_allclose(np.degrees(data.poses[0, 2]), 12000.0)
+@pytest.mark.parametrize("titles", ["", "Measured on Monday\n", "# tracker;day 2\n\n", "sep=;\n"])
+def test_no_cell_decides_how_a_number_is_read(titles: str, tmp_path: Path) -> None:
+    """A note of 1.234,5 leaves 0.123 and 1.469 as they are; what may be either is refused."""
+    path = tmp_path / "t.csv"
+    head = HEADER.replace(",", ";")
+    path.write_text(f"{titles}{head};note\n0.123;1.469;-0.25;4;5;6;1.234,5\n")
+    data = pincal.Measurements.from_csv(path, THREE)
+    assert data.poses.tolist() == [[0.123, 1.469, -0.25]]
+    for thousands in ("1.234,5", "1,234.5", "1 234", "1'234.5"):
+        path.write_text(f"{titles}{head}\n{thousands};2;3;4;5;6\n")
+        with pytest.raises(MeasurementError, match="is not a finite number"):
+            pincal.Measurements.from_csv(path, THREE)
 
 
 def test_columns_of_other_programs_are_mapped(tmp_path: Path) -> None:
@@ -472,6 +459,15 @@ def test_spreadsheets_give_what_their_csv_files_give(commas: bool, tmp_path: Pat
     found = pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
     assert np.array_equal(found.poses, expected.poses)
     assert np.array_equal(found.readings, expected.readings)
+
+
+def test_numbers_of_sheets_have_points_whatever_is_typed_beside_them(tmp_path: Path) -> None:
+    """Decimal commas that Excel holds for text, beside numbers and a note of 1.234,5."""
+    row = ["1,5", -2, "0,3", 0.123, 5, 6]
+    sheet(tmp_path / "m.xlsx", [[*CELLS[0], "note"], [*row, "a"], [*row, "1.234,5"]])
+    data = pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
+    assert data.poses.tolist() == [[1.5, -2.0, 0.3]] * 2
+    assert data.readings.tolist() == [[0.123, 5.0, 6.0]] * 2
 
 
 def test_cells_that_are_no_numbers_are_quoted_as_they_stand(tmp_path: Path) -> None:

@@ -19,7 +19,8 @@ from contextlib import contextmanager
 from dataclasses import is_dataclass
 from functools import cache, wraps
 from pathlib import Path
-from threading import current_thread, main_thread
+from threading import Event, Thread, current_thread, main_thread
+from time import monotonic
 from typing import Annotated, Any, NoReturn
 
 import numpy as np
@@ -70,6 +71,7 @@ stderr = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # warnings and errors
 _remarks = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # all else that is no answer
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _LONGEST = 1300  # characters
+_REMIND = 30.0  # seconds after which what takes longer is said again, where no spinner turns
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it caches fonts matters to nobody
 _typed: list[str] = []
 _TypedWrong: type[Exception] = typer.BadParameter.__mro__[2]  # click's, whose copy typer may have
@@ -151,24 +153,28 @@ def say(*lines: object) -> None:
 
 
 @contextmanager
-def working(text: str) -> Iterator[Callable[[str], None]]:
-    """Show what is being done: a spinner on a terminal, plain lines elsewhere (stderr).
+def working(text: str, total: int = 0) -> Iterator[Callable[[Any], None]]:
+    """Show what is being done: a spinner on a terminal, elsewhere a line now and then (stderr).
 
-    Yields a function that changes the text.
+    Yields a function that takes another text, or how much of a total is done.
     """
+    counted = f"{text}: {{}} of {total}" if total else "{}"
     if _remarks.is_terminal and not _remarks.quiet:
         with _remarks.status(text) as status:
-            yield lambda step: status.update(step)
-    else:
-        remark(f"{text} …")
-        yield lambda _: None
+            yield lambda step: status.update(counted.format(step))
+        return
+    remark(f"{text} …")
+    steps, done, begun = [text], Event(), monotonic()
 
+    def remind() -> None:
+        while not done.wait(_REMIND):
+            remark(f"{steps[-1]} … {monotonic() - begun:.0f} s")
 
-@contextmanager
-def counting(text: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show what is being done; yields a function that takes how much of it is."""
-    with working(text) as say_step:
-        yield lambda done: say_step(f"{text}: {done} of {total}")
+    Thread(target=remind, daemon=True).start()
+    try:
+        yield lambda step: steps.append(counted.format(step))
+    finally:
+        done.set()
 
 
 def remark(text: str) -> None:
@@ -229,8 +235,10 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(error.exit_code)  # type: ignore[attr-defined]
     except PincalError as error:
         _leave(2, str(error))
-    except OSError as error:  # errors of files are PincalErrors: this is typer's own printing
-        stdout.on_broken_pipe()
+    except OSError as error:
+        if error.filename is not None:
+            _leave(2, f"{error.filename}: {error.strerror}")
+        stdout.on_broken_pipe()  # typer's own printing, whose stream has no name
         _leave(4, f"the answer could not be printed ({error.strerror})")
     except MemoryError as error:
         _leave(2, f"not enough memory ({error}); ask for less at once")

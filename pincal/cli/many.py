@@ -86,10 +86,11 @@ def montecarlo_(
     if not options.priors_by_name(mechanism):
         size = amount(ERROR * mechanism.size, "m").replace(" ", "")
         warn(f"no --tolerance: machines are drawn as by --tolerance {size},1mrad,0.001")
+    planned = read_poses(plan, mechanism, setup=setup)
     with _growing(output) as progress:
         study = montecarlo(
             mechanism,
-            read_poses(plan, mechanism, setup=setup),
+            planned,
             drawn.machines,
             output,
             drawn.workers,

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import socket
 import sys
 import time
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from socketserver import StreamRequestHandler, TCPServer
 from threading import Event, Lock
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, TextIO, get_args
 
 import numpy as np
 import typer
@@ -27,9 +28,10 @@ import typer
 import pincal
 from pincal import FileError, MeasurementError, Mechanism, Noise, PincalError, Plan, Setup
 from pincal.calibration.session import Session, SessionOptions
-from pincal.cli.app import command, fail, say, stdout, warn, working
-from pincal.cli.options import Mech, PlanOptions, TableOptions, typed_name
+from pincal.cli.app import command, fail, remark, say, stdout, warn, working
+from pincal.cli.options import Mech, PlanOptions, TableOptions, option_parameters, typed_name
 from pincal.design.planning import sampled, with_reading_noise
+from pincal.errors import explaining
 from pincal.files.columns import columns_of, reading_units
 from pincal.files.measurements import read_poses
 from pincal.files.table import TextTable, write_table
@@ -39,6 +41,7 @@ from pincal.show.view.view import PageServer
 from pincal.words.numbers import Units, percent
 
 _CANDIDATES = 500  # poses, where no plan is given
+_IN_JSON: dict[type, Any] = {float: (float, int), Path: str}
 _PATIENCE = 5.0  # seconds in which an instrument must take the call
 _OFF = 10  # rows in a row off, after which a source is asked no more
 _WAIT = 0.2  # seconds between two looks at a file that grows
@@ -107,6 +110,8 @@ def measure(
             else:
                 plan = read_poses(source.plan, mechanism, setup=setup)
             write_table(path, columns_of(mechanism, plan))
+        elif source.plan is not None:
+            remark(f"poses are those of {path}, with which the session began")
         asked = replace(
             session_options,
             noise=with_reading_noise(noise, mechanism),
@@ -150,34 +155,40 @@ def _remembered(folder: Path, mechanism: Mechanism, *groups: Any) -> Iterator[An
         FileError: the session is of another machine; options cannot be read or written.
     """
     path = folder / "options.json"
-    try:
+    with ExitStack() as undo:
+        if not folder.exists():
+            undo.callback(shutil.rmtree, folder, ignore_errors=True)
         folder.mkdir(exist_ok=True)
-        before = path.read_text("utf-8") if path.is_file() else "{}"
-        stored: dict[str, Any] = json.loads(before)
-        _check_machine(folder, stored, mechanism)
-        yield [_as_stored(group, stored.setdefault(type(group).__name__, {})) for group in groups]
+        with explaining(f"delete {path}, and type its options again", Exception):
+            before = path.read_text("utf-8") if path.is_file() else "{}"
+            stored: dict[str, Any] = json.loads(before)
+            _check_machine(folder, stored, mechanism)
+            known = [_as_stored(g, stored.setdefault(type(g).__name__, {})) for g in groups]
+        yield known
         new, text = path.with_suffix(".new"), json.dumps(stored, indent=1)
         if text != before:
             new.write_text(text, encoding="utf-8")
             new.replace(path)
-    except FileError:
-        raise
-    except (OSError, json.JSONDecodeError) as error:
-        raise FileError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+        undo.pop_all()
 
 
 def _as_stored(group: Any, known: dict[str, Any]) -> Any:
     """Return options as typed, else as they are known; what is typed is known from then on."""
-    default, columns = type(group)(), fields(group)
-    for column in (column for column in columns if "option" in column.metadata):
-        value = getattr(group, column.name)
-        if value != getattr(default, column.name):
+    default, stored = type(group)(), {}
+    columns = [column for column in fields(group) if "option" in column.metadata]
+    for column, parameter in zip(columns, option_parameters(type(group)), strict=True):
+        name, value = column.name, getattr(group, column.name)
+        if value != getattr(default, name):
             value = str(value.absolute()) if isinstance(value, Path) else value
-            if (former := known.get(column.name, value)) != value:
+            if (former := known.get(name, value)) != value:
                 warn(f"--{typed_name(column)} was {former} so far, and is now {value}")
-            known[column.name] = value
-    names = {column.name for column in columns}
-    return replace(group, **{name: value for name, value in known.items() if name in names})
+            known[name] = value
+        if name in known:
+            kinds = get_args(parameter.annotation.__origin__ | None)
+            if not isinstance(known[name], tuple(_IN_JSON.get(kind, kind) for kind in kinds)):
+                raise TypeError(f"{name} is {known[name]!r}")
+            stored[name] = known[name]
+    return replace(group, **stored)
 
 
 def _check_machine(folder: Path, stored: dict[str, Any], mechanism: Mechanism) -> None:
@@ -199,7 +210,7 @@ def _source(options: SourceOptions) -> Iterator[Ask | None]:
         raise typer.BadParameter("--follow and --tcp both give measurements; leave one of them")
     if options.tcp is not None and not (host and port.isdecimal()):
         raise typer.BadParameter(f"--tcp {options.tcp}: expected HOST:PORT")
-    try:
+    with explaining(str(options.follow or options.tcp)):
         if options.follow is not None:
             with options.follow.open(encoding="utf-8", errors="replace") as file:
                 file.seek(0, 2)
@@ -212,10 +223,6 @@ def _source(options: SourceOptions) -> Iterator[Ask | None]:
         else:
             say(*[_HELP] * options.terminal)
             yield None
-    except FileError:
-        raise
-    except OSError as error:
-        raise FileError(f"{options.follow or options.tcp}: {error.strerror or error}") from error
 
 
 def _line(stream: TextIO, points: dict[str, float] | None = None) -> str:

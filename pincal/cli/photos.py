@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from pincal import MeasurementError
-from pincal.cli.app import command, counting, remark, say, stdout, wrote
+from pincal.cli.app import command, remark, say, stdout, working, wrote
 from pincal.cli.options import FORCE, named_after, output_option
 from pincal.files.output import writing_together
 from pincal.files.table import read_table, write_table
@@ -118,7 +118,7 @@ def detect(
     if not (boards and paths):
         raise MeasurementError("name a board's file (.yaml, by 'pincal board') and photos of it")
     photos: list[PhotoPoints] = []
-    with counting("looking at photos", len(paths)) as step:
+    with working("looking at photos", len(paths)) as step:
         for photo in points_in(boards, paths):
             photos.append(photo)
             step(len(photos))

@@ -11,7 +11,7 @@ import typer
 
 import pincal
 from pincal import Grid, Margins, Mechanism, Orientations, Workspace, WorkspaceError
-from pincal.cli.app import command, counting, remark, stdout, wrote
+from pincal.cli.app import command, remark, stdout, working, wrote
 from pincal.cli.options import FORCE, SEED, Mech, output_option, refuse_options
 from pincal.files.columns import columns_of
 from pincal.files.output import refuse_existing_of, writing_together
@@ -84,7 +84,7 @@ def workspace(
         refuse_readings(mechanism)
         _region(mechanism, outputs, options, least)
         return
-    with counting("sampling the workspace", options.count) as done:
+    with working("sampling the workspace", options.count) as done:
         plan = pincal.sample_configurations(mechanism, options.count, options.seed, least, done)
     write_table(output, columns_of(mechanism, plan), units=WRITTEN, force=options.force)
     ends = zip(plan.poses.min(axis=0), plan.poses.max(axis=0), strict=True)
@@ -104,7 +104,7 @@ def _region(
     orientations = Orientations.of(mechanism.platform, *turns) if turns else None
 
     def compute(grid: Grid, text: str) -> Workspace:
-        with counting(text, grid.size) as done:
+        with working(text, grid.size) as done:
             return pincal.compute_workspace(
                 mechanism,
                 options.kind,

@@ -20,6 +20,7 @@ from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, St
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
+from pincal.model.platform import in_part
 from pincal.model.relations import ORIGIN, Instrument, evaluated
 from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
@@ -56,11 +57,8 @@ class Observation:
         turned = platform.matrices(np.nan_to_num(data.poses[oriented]))
         self.orientations[oriented] = turned[:, :3, :3]
         if (part := np.isfinite(data.poses[:, lengths:]).any(axis=1) & ~oriented).any():
-            raise MeasurementError(
-                f"{data.place(int(np.argmax(part)))}: an orientation is measured in part; expected "
-                f"{', '.join(platform.coordinates[lengths:])} or none of them (what reads a single "
-                "angle is an instrument of your own: pincal.Instrument)"
-            )
+            what = in_part(platform.coordinates[lengths:])
+            raise MeasurementError(f"{data.place(int(np.argmax(part)))}: {what}")
         turns = platform.freedoms[lengths:]
         self.names = (*scalars, *turns, *units)
         """Names of the r quantities, as columns of measurements or freedoms of the platform."""

@@ -13,7 +13,7 @@ import lazy_loader
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.files.text import LARGEST_FILE, plain_number, read_bytes
+from pincal.files.text import LARGEST_FILE, Numeral, plain_number, read_bytes
 
 if TYPE_CHECKING:
     import openpyxl
@@ -82,4 +82,4 @@ def _text(value: Any, formula: Any) -> str:
                 "rows and columns beyond the table"
             )
         return f"{text or 'formula that was never computed'} {place}"
-    return text
+    return Numeral(text) if value.data_type == "n" else text

@@ -10,8 +10,7 @@ import csv
 import fcntl
 import io
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import FileError, MeasurementError, PincalError
+from pincal.errors import FileError, MeasurementError, PincalError, explaining
 
 Row = dict[str, Any]
 Columns = dict[str, NDArray[Any]]
@@ -66,7 +65,7 @@ class RowFile:
         """
         blank = {name: "" if name in TEXTS else np.nan for name in self.columns}
         lines = [[row.get(name, cell) for name, cell in blank.items()] for row in rows]
-        with _saying(f"{self.path} cannot be written"):
+        with explaining(f"{self.path} cannot be written"):
             if self.path is None:
                 self._lines += lines
             elif self.path.suffix != ".parquet":
@@ -109,7 +108,7 @@ class Journal:
             FileError: another process has it open, it cannot be written, or has other columns.
         """
         self.path, self.columns = folder / "rows.csv", list(columns)
-        with _saying(f"cannot open {folder}"):
+        with explaining(f"cannot open {folder}"):
             folder.mkdir(exist_ok=True)
             lock = folder / "lock"
             self._lock = os.open(lock, os.O_RDWR | os.O_CREAT)
@@ -145,7 +144,7 @@ class Journal:
         row = [cells.get(column, "").strip() for column in self.columns]
         if any(not cell.isprintable() for cell in row):
             raise MeasurementError("a cell has characters that cannot be printed; enter it again")
-        with _saying(f"not recorded; free some space and enter it again. {self.path}"):
+        with explaining(f"not recorded; free some space and enter it again. {self.path}"):
             append_lines(self.path, self.columns, [row])
         self.rows.append(row)
 
@@ -160,7 +159,7 @@ class Journal:
             raise MeasurementError("there is no such row to undo")
         rows = self.rows.copy()
         undone, new = rows.pop(row), self.path.with_suffix(".new")
-        with _saying("the row was not undone"):
+        with explaining("the row was not undone"):
             append_lines(self.path.with_name("undone.csv"), [], [undone])
             new.unlink(missing_ok=True)
             append_lines(new, self.columns, rows)
@@ -213,14 +212,3 @@ def _synchronise_folder(path: Path) -> None:
     folder = os.open(path.parent, os.O_RDONLY)
     os.fsync(folder)
     os.close(folder)
-
-
-@contextmanager
-def _saying(failure: str) -> Iterator[None]:
-    """Say what an error of the system meant."""
-    try:
-        yield
-    except FileError:
-        raise
-    except OSError as error:
-        raise FileError(f"{failure}: {error.strerror or error}") from error

@@ -27,7 +27,7 @@ from pincal.files.text import plain_number
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import WAYS, columns_of, rotation_of
+from pincal.model.platform import WAYS, columns_of, in_part, rotation_of
 from pincal.model.relations import TO
 from pincal.model.setup import Setup
 from pincal.types import Array
@@ -216,14 +216,18 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
             f"legs at once. The file has {', '.join(table.units)}"
         )
     poses = table.array(units, blank=partial, optional=partial)
-    if way in (None, "tilt-torsion"):
+    if way is None:
         return poses
-    names, unit = WAYS[str(way)]
+    names, unit = WAYS[way]
     values = table.array(dict.fromkeys(names, unit), blank=partial)
     known = np.isfinite(values).all(axis=1)
+    if (part := np.isfinite(values).any(axis=1) & ~known).any():
+        raise MeasurementError(f"{table.where(int(np.argmax(part)))}: {in_part(names)}")
+    if way == "tilt-torsion":
+        return poses
     turns = np.full((len(values), 3), np.nan)
     with located(table.path, MeasurementError):
-        turns[known] = columns_of("tilt-torsion", rotation_of(str(way), values[known]))
+        turns[known] = columns_of("tilt-torsion", rotation_of(way, values[known]))
     return np.hstack((poses, turns))
 
 

@@ -18,7 +18,7 @@ from errno import EEXIST
 from itertools import combinations, count
 from pathlib import Path
 
-from pincal.errors import FileError, PincalError
+from pincal.errors import FileError, PincalError, explaining
 from pincal.files.text import is_input
 from pincal.model.checks import must_be
 
@@ -35,16 +35,14 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
     path = Path(must_be(path, (str, Path), "where to write", FileError))
     if path == Path("-"):
         raise FileError("cannot write to standard output ('-'); name a file")
-    try:
+    with explaining(f"cannot write {str(path)!r}", ValueError, RuntimeError):
         real = Path(os.path.realpath(path))
         exists, is_folder, is_link = real.exists(), real.is_dir(), real.is_symlink()
         special = exists and not (is_folder or real.is_file())  # a device or a pipe
         has_parent = real.parent.is_dir()
         known = bool(folder) and (real / folder[0]).is_file()
         inside = is_folder and Path.cwd().is_relative_to(real)
-        read = _inputs_in(_made_in(real, folder) if known else [real])
-    except (OSError, ValueError, RuntimeError) as error:
-        raise FileError(f"cannot write {str(path)!r}: {error}") from error
+        read = _inputs_in(_made_in(real, folder) if known else [] if is_folder else [real])
     known_by = folder[0] if folder else ""
     refusals = {
         f"{path} is a link that leads to itself; remove it, or name a file": is_link,
@@ -102,7 +100,7 @@ def writing_together(
     names = ", ".join(str(path) for path, _ in outputs)
     shown: dict[str, str] = {}  # what messages call temporary paths
     try:
-        with ExitStack() as scratch:
+        with explaining(f"cannot write {names}"), ExitStack() as scratch:
             targets = refuse_existing_of(outputs, force=force)
             made = []
             for target, (named, folder) in zip(targets, outputs, strict=True):
@@ -124,8 +122,6 @@ def writing_together(
         for temporary, named in shown.items():
             error.args = tuple(str(part).replace(temporary, named) for part in error.args)
         raise
-    except OSError as error:
-        raise FileError(f"cannot write {names}: {error.strerror or error}") from error
 
 
 def _made_in(place: Path, folder: Sequence[str]) -> list[Path]:

@@ -21,7 +21,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.book import MOST_COLUMNS, sheet_rows, write_book
 from pincal.files.output import writing
-from pincal.files.text import LARGEST_FILE, plain_number, read_text, why_no_number
+from pincal.files.text import LARGEST_FILE, Numeral, plain_number, read_text, why_no_number
 from pincal.model.checks import LARGEST, must_be
 from pincal.types import Array
 from pincal.words.numbers import COUNTS, SCALE, SI, UNITS, Units
@@ -32,12 +32,6 @@ _SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
 _MOST_TITLES = 30  # rows above the headers
-_THOUSANDS = {
-    ",": re.compile(r"[-+]?\d{1,3}(,\d{3})+\.\d+", re.ASCII),
-    r"\.": re.compile(r"[-+]?\d{1,3}(\.\d{3})+,\d+", re.ASCII),
-    "['’ \u00a0\u202f]": re.compile(r"[-+]?\d{1,3}(['’ \u00a0\u202f]\d{3})+([.,]\d+)?", re.ASCII),
-}
-"""Separators of thousands, and numbers that have them for sure."""
 #: Files of other kinds, and what to make of them.
 _OTHER_KINDS = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": "CSV"}
 
@@ -161,7 +155,7 @@ def write_table(
 def cell_text(value: object) -> str:
     """Return a value as it is written in a file; none is an empty cell."""
     if isinstance(value, float):
-        return "" if np.isnan(value) else repr(float(value))
+        return "" if np.isnan(value) else Numeral(float(value))
     missing = value is None or type(value).__name__ in ("NAType", "NaTType")
     return "" if missing else str(value)
 
@@ -221,7 +215,7 @@ def _of_rows(
         raise MeasurementError(f"{path}: a header but no rows")
     notes = [separated] if separated else []
     notes += [f"{titles} {counted}s above the headers skipped"] if titles else []
-    notes += _in_plain_digits(rows, commas=separated is not None)
+    notes += ["decimal commas"] * _with_points(rows, commas=separated is not None)
     if notes:
         _log.info("%s: %s", path, ", ".join(notes))
     text = dict(zip(units, map(list, zip(*rows, strict=True)), strict=True))
@@ -235,29 +229,18 @@ def _titles(rows: Sequence[Sequence[str]]) -> int:
     return next(headed, next(several, 0))
 
 
-def _in_plain_digits(rows: list[list[str]], *, commas: bool) -> list[str]:
-    """Write 1234.5 for 1,234.5, 1.234,5 and 1234,5; return what numbers had, in words.
+def _with_points(rows: list[list[str]], *, commas: bool) -> bool:
+    """Write 1234.5 for 1234,5, if commas may be decimal ones; return whether there were any.
 
-    Commas are decimal ones if they may be and no cell has a decimal point. Cells that are no
-    numbers then stay as they stand in the file.
+    They are if no text has a decimal point: a sheet's numbers have it whatever a person types.
     """
-    cells = {cell.strip() for row in rows for cell in row}
-    signs = [sign for sign, sure in _THOUSANDS.items() if any(map(sure.fullmatch, cells))]
-    plain = {cell: _ungrouped(cell, signs) for cell in cells}
-    decimal = [cell for cell, digits in plain.items() if _DECIMAL_COMMA.fullmatch(digits)]
-    commas &= bool(decimal) and not any(map(_DECIMAL_POINT.fullmatch, plain.values()))
-    plain |= {cell: plain[cell].replace(",", ".") if commas else cell for cell in decimal}
+    texts = {cell.strip() for row in rows for cell in row if not isinstance(cell, Numeral)}
+    decimal = set(filter(_DECIMAL_COMMA.fullmatch, texts)) if commas else set()
+    if any(map(_DECIMAL_POINT.fullmatch, texts)):
+        decimal.clear()
     for row in rows:
-        row[:] = [plain[cell.strip()] for cell in row]
-    return ["thousands separators"] * bool(signs) + ["decimal commas"] * commas
-
-
-def _ungrouped(cell: str, signs: Sequence[str]) -> str:
-    """Return a cell without the signs between thousands, if it is a number that has one of them."""
-    for sign in signs:
-        if re.fullmatch(rf"[-+]?\d{{1,3}}({sign}\d{{3}})+([.,]\d+)?", cell, re.ASCII):
-            return re.sub(sign, "", cell)
-    return cell
+        row[:] = [x.replace(",", ".") if x in decimal else x for x in map(str.strip, row)]
+    return bool(decimal)
 
 
 def renamed(table: TextTable, headers: Mapping[str, str]) -> TextTable:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
-from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
+from pincal.errors import FileError, MeasurementError, MechanismError, PincalError, explaining
 from pincal.model.checks import LARGEST
 from pincal.words.numbers import UNITS
 
@@ -64,7 +64,7 @@ def read_bytes(
     An error of the given type says that it is too large, FileError that it cannot be read, or is a
     device or a pipe where none may be.
     """
-    try:
+    with explaining(f"cannot read {path}", ValueError):  # a name that no file can have
         status = path.stat()
         if not (pipe or stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
             raise FileError(f"cannot read {path}: a device or a pipe; name a file")
@@ -75,11 +75,6 @@ def read_bytes(
             with path.open("rb") as file:
                 while len(data) <= largest and (part := file.read(_CHUNK)):
                     data += part
-    except FileError:
-        raise
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        cause = getattr(error, "strerror", None) or error
-        raise FileError(f"cannot read {path}: {cause}") from error
     if max(len(data), status.st_size) > largest:
         raise error_type(f"{path}: larger than {largest // 2**20} MiB; not a file of this kind")
     return bytes(data)
@@ -121,6 +116,10 @@ def read_text(
 def lines_of(text: str) -> list[str]:
     """Return the lines of a text, which end as Unix, Windows or old Macs end them."""
     return _LINE.split(text)
+
+
+class Numeral(str):
+    """The text of a cell that holds a number, not text: its point is a decimal one."""
 
 
 def plain_number(text: str) -> float:

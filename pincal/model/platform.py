@@ -302,6 +302,14 @@ def _own_twist(kind: str, twist: object) -> tuple[str, ...]:
     return rows
 
 
+def in_part(names: Sequence[str]) -> str:
+    """Say that some columns of an orientation are measured, and others not."""
+    return (
+        f"an orientation is measured in part; expected {', '.join(names)} or none of them (what "
+        "reads a single angle is an instrument of your own: pincal.Instrument)"
+    )
+
+
 def rotation_of(way: str, values: Array) -> Rotation:
     """Return the orientations of columns, ``R_base_platform``.
 
