@@ -358,7 +358,7 @@ def test_nearly_deficient_data_are_refused_or_honest(name: str) -> None:
             )
         except pincal.ObservabilityError as error:
             refused.append(size)
-            assert "leg_1" in str(error)  # noqa: PT017
+            assert "leg_" in str(error)  # noqa: PT017
             continue
         assert result.converged or size < 1e-2, result.message
         for leg in result.legs if result.converged else ():

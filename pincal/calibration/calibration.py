@@ -258,7 +258,7 @@ class Calibration:
         for name, count, n, least in self.short_legs():
             added = " and the scale of the noise" * (not (self.noise.known or self.options.latent))
             remedy = ". --poses all uses every pose for every leg" * (not self.options.every_pose)
-            if self.options.latent:  # only what the noise is cannot be found
+            if self.options.latent and not self.noise.known:  # which alone cannot be found
                 remedy = (
                     ". The noise was not given, and so few rows do not show it; give it "
                     "(--noise-position, --noise-orientation, --noise-reading) to identify what "

@@ -62,11 +62,11 @@ def named(words: Sequence[object]) -> str:
     return listed(words if len(words) <= NAMED else [*words[:NAMED], f"{len(words) - NAMED} more"])
 
 
-def groups_in_words(groups: Sequence[tuple[str, ...]], most: int = LISTED) -> str:
-    """Return which parameters move together, ``most`` groups and how many more there are."""
+def groups_in_words(groups: Sequence[tuple[str, ...]]) -> str:
+    """Return which parameters move together, a few groups and how many more there are."""
     parts = list(map(group_in_words, groups))
-    if len(parts) > most + 1:
-        parts[most:] = [f"and {len(parts) - most} more"]
+    if len(parts) > LISTED + 1:
+        parts[LISTED:] = [f"and {len(parts) - LISTED} more"]
     return "; ".join(parts)
 
 
