@@ -82,28 +82,14 @@ class Scene:
         camera = pincal.Camera("eye", lens, board, on_platform=self.camera.on_platform)
         return pincal.Setup(instruments=(camera,))
 
-    @property
-    def known_setup(self) -> dict[bool, pincal.Setup]:
-        """The setup at its true values; known, and as unknown as in ``setup``."""
+    def true_setup(self, *, known: bool) -> pincal.Setup:
+        """Return the setup at its true values; known, or as unknown as in ``setup``."""
         (device,), camera = self.setup.instruments, self.camera
-        where = {"at": camera.at, "rotation": camera.rotation}
-        true = (self.lens.focal, self.lens.centre, self.lens.distortion)
-        lens = pincal.Lens(self.lens.size, *true, unknown=device.lens.unknown)
-        markers = replace(camera.markers, normal=(0.0, 0.0, 1.0))
-        return {
-            known: pincal.Setup(
-                instruments=(
-                    replace(
-                        device,
-                        lens=lens,
-                        markers=replace(markers, known=known),
-                        known=known,
-                        **where,
-                    ),
-                )
-            )
-            for known in (False, True)
-        }
+        facing = {"normal": (0.0, 0.0, 1.0), "clear": self.board.clear}
+        markers = replace(camera.markers, known=known, **facing)
+        lens = replace(camera.lens, unknown=device.lens.unknown)
+        camera = replace(camera, lens=lens, markers=markers, known=known)
+        return pincal.Setup(instruments=(camera,))
 
 
 def _motion(at: object, rotation: object) -> np.ndarray:
@@ -185,30 +171,35 @@ SCENES = slow_or_fuzz(["3RRR"], ["6UPS", "delta", "arm with camera", "arm with b
 def test_photos_calibrate_as_forecast(name: str, tmp_path: Path) -> None:
     """The calibrated platform's true error is within 1.3 of what was forecast; χ² is right.
 
+    That is over three sets of photos: a single one is missed by the one or two directions that it
+    tells least of. The forecast knows which boards are too far away to be read.
     The lens is found where it was unknown. Where nothing is unknown but the machine, errors of its
     parameters are as their standard errors.
     """
     place = scenes(name)
     truth = pincal.disturb(place.mechanism, 5e-4 * place.mechanism.size, 1)
-    data = place.photographed(truth, tmp_path)
-    sigma = float(np.nanmedian(np.column_stack([*data.sigma_extra.values()])))
-    noise = pincal.Noise(0.0, 0.0, 1e-7, pixel=sigma)
-    result = pincal.calibrate(place.mechanism, data, noise=noise, setup=place.setup)
-    known = place.known_setup
-    over = place.poses[pincal.inverse(place.mechanism, place.poses).reached.all(axis=1)]
-    over = over[pincal.inverse(result.identified, over).reached.all(axis=1)]
-    planned = pincal.forecast(truth, place.poses, noise, [*place.camera.columns], known[False])
-    expected = planned.platform_error(over)
-    error = platform_accuracy(result.identified, truth, over)
-    assert error[0] < 1.3 * expected.position
-    assert error[1] < 1.3 * expected.orientation or not expected.orientation
-    assert 0.7 < result.reduced_chi2 < 1.4
+    columns, ratios = [*place.camera.columns], []
+    for seed in range(3):
+        data = place.photographed(truth, tmp_path, seed)
+        sigma = float(np.nanmedian(np.column_stack([*data.sigma_extra.values()])))
+        noise = pincal.Noise(0.0, 0.0, 1e-7, pixel=sigma)
+        result = pincal.calibrate(place.mechanism, data, noise=noise, setup=place.setup)
+        over = place.poses[pincal.inverse(place.mechanism, place.poses).reached.all(axis=1)]
+        over = over[pincal.inverse(result.identified, over).reached.all(axis=1)]
+        setup = place.true_setup(known=False)
+        planned = pincal.forecast(truth, place.poses, noise, columns, setup)
+        expected = planned.platform_error(over)
+        error = platform_accuracy(result.identified, truth, over)
+        ratios.append((error[0] / expected.position, error[1] / (expected.orientation or np.inf)))
+        assert 0.7 < result.reduced_chi2 < 1.4
+    assert (np.sqrt(np.mean(np.square(ratios), axis=0)) < 1.3).all()
     lens = dict(zip(place.camera.lens.names, place.camera.lens.values, strict=True))
     found = [p for p in result.parameters if p.id.startswith("lens.")]
     for parameter in found:
         assert abs(parameter.identified - lens[parameter.name]) < 4.0 * parameter.std
     if place.lens_known:
-        exact = pincal.calibrate(place.mechanism, data, noise=noise, setup=known[True])
+        setup = place.true_setup(known=True)
+        exact = pincal.calibrate(place.mechanism, data, noise=noise, setup=setup)
         errors = [exact[p.id].identified - p.nominal for p in truth.parameters]
         scores = np.array(errors) / [exact[p.id].std for p in truth.parameters]
         assert not exact.gauge

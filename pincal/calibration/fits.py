@@ -29,22 +29,27 @@ from pincal.estimation.components import (
 from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
-from pincal.estimation.observability.identifiable import DIFFER, HeldUnknowns, hold_unobservable
+from pincal.estimation.observability.identifiable import (
+    DIFFER,
+    HeldUnknowns,
+    hold_unobservable,
+    plausible_changes,
+)
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.robust import robust_fit
-from pincal.estimation.system import System, loss_of
+from pincal.estimation.system import Loss, System, loss_of
 from pincal.estimation.unknowns import External, State
 from pincal.model.checks import ALIKE
 from pincal.model.leg import Leg
 from pincal.model.measurements import Noise
+from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import WORDINGS, finding
 from pincal.words.wording import filled
 
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
-_HELD_MORE = 10.0  # times better determined are directions held next if a search does not converge
-_HELD_MOST = 100.0  # times better than machines differ: those are always free
-_PATIENCE = 500  # evaluations of a search before more directions are held
+_HELD_MOST = 100.0  # times better determined than machines differ: those directions are always free
+_PATIENCE = 60  # evaluations of a search before it is asked whether it runs astray
 _REFITS = 5  # with noise that was estimated
 SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
 
@@ -274,15 +279,15 @@ def _values(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, f
 def _fit_holding(
     calibration: Calibration, system: System, start: State | Linear | None, former: Fits | None
 ) -> tuple[Fit, HeldUnknowns]:
-    """Return a fit with weak directions held, and what was: more of them until it converges."""
+    """Return a fit with weak directions held, and what was: one more each until it converges."""
     held = held_before = former.held if former else None
-    least, problem, near = held.least if held else 1.0, system.problem, start is not None
+    fewest, problem, near = held.fewest if held else 0, system.problem, start is not None
     mechanism, loss = calibration.mechanism, loss_of(calibration.options.loss)
     nominal = held.nominal if held else problem.evaluate(problem.start(system.unknowns.start))
     nominal = replace(nominal, problem=problem)
     begin = start if isinstance(start, Linear) else nominal
     while True:
-        held = hold_unobservable(mechanism, system, nominal, held, least)
+        held = hold_unobservable(mechanism, system, nominal, held, fewest)
         if isinstance(start, State):  # with what is held at nominal
             n = len(start.parameters)
             T, values = held.unknowns.map[:n], held.unknowns.start[:n]
@@ -290,17 +295,36 @@ def _fit_holding(
             begin = problem.evaluate(replace(start, parameters=values + T @ z))
         elif held_before and held.directions.shape[1] > held_before.directions.shape[1]:
             begin, near = nominal, False  # there what is held besides is held
-        may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
-        patience = _PATIENCE if may_hold_more else system.max_evaluations
-        holding = replace(system, unknowns=held.unknowns, max_evaluations=patience)
+        may_hold_more = held.weakest < _HELD_MOST
+        holding = replace(system, unknowns=held.unknowns)
         try:
-            fit = robust_fit(holding, loss, begin, near=near)
+            if may_hold_more:
+                fit = _unless_astray(mechanism, holding, loss, begin, nominal, near=near)
+            else:
+                fit = robust_fit(holding, loss, begin, near=near)
             if fit.converged or not may_hold_more:
                 return fit, held
         except ObservabilityError:
             if not may_hold_more:
                 raise
-        least *= _HELD_MORE
+        fewest = held.observable.n_free - held.unknowns.n_free + 1
+
+
+def _unless_astray(
+    mechanism: Mechanism,
+    system: System,
+    loss: Loss | None,
+    begin: Linear,
+    nominal: Linear,
+    *,
+    near: bool,
+) -> Fit:
+    """Return a fit; if its search soon leaves what machines differ by, where it was then."""
+    fit = robust_fit(replace(system, max_evaluations=_PATIENCE), loss, begin, near=near)
+    changes = np.abs(fit.parameters - nominal.state.parameters)
+    if fit.converged or (changes > plausible_changes(mechanism, system.problem.legs)).any():
+        return fit
+    return robust_fit(system, loss, begin, near=near)
 
 
 def _measured(calibration: Calibration) -> Fits:

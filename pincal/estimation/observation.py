@@ -124,19 +124,19 @@ class Observation:
 
         Poses are ``T_base_platform``, shape (N, 4, 4).
         """
-        measured, poses = self.measured.copy(), external.frame @ matrices
-        for instrument, columns, places in self._devices():
-            if visible := getattr(instrument, "visible", None):
-                measured[:, columns] &= visible(poses, external.instruments[places])
-        return self._with(measured=measured)
+        hidden = self._asked("visible", matrices, external) == 0.0
+        return self._with(measured=self.measured & ~hidden)
 
     def metres_per_pixel(self, matrices: Array, external: External) -> Array:
         """Return what a pixel is at poses where what is seen is, (N, r), [m/px]; NaN of others."""
-        metres, poses = np.full(self.measured.shape, np.nan), external.frame @ matrices
+        return self._asked("metres_per_pixel", matrices, external)
+
+    def _asked(self, method: str, matrices: Array, external: External) -> Array:
+        values, poses = np.full(self.measured.shape, np.nan), external.frame @ matrices
         for instrument, columns, places in self._devices():
-            if of_pixels := getattr(instrument, "metres_per_pixel", None):
-                metres[:, columns] = of_pixels(poses, external.instruments[places])
-        return metres
+            if ask := getattr(instrument, method, None):
+                values[:, columns] = ask(poses, external.instruments[places])
+        return values
 
     def _devices(self) -> Iterator[tuple[Instrument, slice, Index]]:
         """Yield instruments, their columns among quantities, and the places of their unknowns."""

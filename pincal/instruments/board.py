@@ -98,6 +98,17 @@ class Board:
         """Width and height of all cells as they should be, [m]."""
         return self.squares[0] * self.square, self.squares[1] * self.square
 
+    @property
+    def clear(self) -> float:
+        """Radius around points in which nothing else is printed, [m]."""
+        gap = self.square - self.marker
+        if self.kind == "charuco":
+            return gap / float(np.sqrt(2.0))
+        if not self.markers:
+            return 0.45 * self.square
+        cells = marker_dictionary(self.dictionary).markerSize + 2
+        return min(float(np.sqrt(2.0)) * self.marker / cells, gap)
+
     @cached_property
     def markers(self) -> dict[int, Array]:
         """Corners of each marker by its number, clockwise from the upper left, (4, 2), [m]."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError
 from pincal.instruments.lens import Lens
@@ -29,6 +29,16 @@ _PLACE = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz
 _AXES = "xyz"
 _FEWEST = 3  # photos from which hand–eye calibration finds anything
 _STEEPEST = np.cos(np.radians(75.0))  # angle from the normal at which markers are still read
+SMALLEST_WINDOW = 3  # half the side of what a corner is found by [px]
+
+
+def windows(clear: float, slopes: Array) -> Array:
+    """Return half the sides of windows about points in which nothing else is seen, (…,), [px].
+
+    Clear is the radius of that on the board, [m]; slopes are pixels by x and y of the board there,
+    shape (…, 2, 2), [px/m].
+    """
+    return np.asarray(0.9 * clear * np.linalg.svd(slopes, compute_uv=False)[..., 1] - 0.5)
 
 
 @dataclass(frozen=True)
@@ -59,13 +69,16 @@ class Markers:
     """Standard deviation of all lengths between points together, relative: of a print's pitch."""
     normal: Point | None = None
     """Direction from which they can be read, in their frame; any if not said."""
+    clear: float = 0.0
+    """Radius around a point, in x and y, in which nothing else is printed, [m]: points of which an
+    image shows less than some pixels cannot be read. Any size can if it is 0."""
 
     def __post_init__(self) -> None:
         error, label = MeasurementError, f"markers {self.name!r}"
         object.__setattr__(self, "points", named_points(self.points, label, error))
         for name in ("at", "rotation", *["normal"] * (self.normal is not None)):
             set_point(self, name, f"{name} of {label}", error)
-        check_sizes(self, ("tolerance", "scale"), f"{label}'s", error)
+        check_sizes(self, ("tolerance", "scale", "clear"), f"{label}'s", error)
 
     @cached_property
     def priors(self) -> dict[str, float]:
@@ -279,7 +292,8 @@ class Camera:
     def visible(self, poses: Array, values: Array) -> Mask:
         """Return which columns it could measure at poses, shape (N, r).
 
-        Of points in its image, in focus, that are seen from the side on which they are printed.
+        Of points in its image, in focus, large enough, seen from the side on which they are
+        printed.
 
         Raises:
             MeasurementError: nobody said where it is.
@@ -289,10 +303,16 @@ class Camera:
                 f"what camera {self.name!r} would see depends on where it is; say that roughly: "
                 "'at', and 'towards' or 'rotation'"
             )
-        place, lens, *_ = self._parts(values)
-        ray = self._carried(poses, values)[2] - place[:3]
-        visible = self.lens.sees(ray @ _matrix(place)[:3, :3], lens)
-        return np.repeat(visible & (self.facing(poses, values) > _STEEPEST), 2, axis=1)
+        place, lens, on_holder, *_ = self._parts(values)
+        T, _, moved = self._carried(poses, values)
+        R = _matrix(place)[:3, :3]
+        seen = (moved - place[:3]) @ R
+        visible = self.lens.sees(seen, lens) & (self.facing(poses, values) > _STEEPEST)
+        if self.markers.clear:
+            axes = R.T @ T[:, None, :3, :3] @ _matrix(on_holder)[:3, :2]
+            slopes = np.nan_to_num(self.lens.project(seen, lens)[1] @ axes)
+            visible &= windows(self.markers.clear, slopes) >= SMALLEST_WINDOW
+        return np.repeat(visible, 2, axis=1)
 
     def facing(self, poses: Array, values: Array) -> Array:
         """Return cosines of lines of sight to the normal, (N, M): below 0 from behind."""
@@ -361,9 +381,8 @@ def _numbers_of(name: str, place: Array) -> dict[str, float]:
 
 def _matrix(place: Array) -> Array:
     """Return the transform of a position and a rotation vector, shapes (6,) and (4, 4)."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = Rotation.from_rotvec(place[3:]).as_matrix(), place[:3]
-    return matrix
+    rotation = Rotation.from_rotvec(place[3:])
+    return RigidTransform.from_components(place[:3], rotation).as_matrix()
 
 
 def _jacobian(vector: Array) -> Array:

@@ -31,6 +31,7 @@ from scipy.special import erf
 from pincal.errors import MeasurementError
 from pincal.files.text import read_bytes
 from pincal.instruments.board import CHEQUERED, Board, marker_dictionary
+from pincal.instruments.camera import SMALLEST_WINDOW, windows
 from pincal.model.checks import listed
 from pincal.types import Array
 
@@ -42,7 +43,7 @@ else:
 Picture8: TypeAlias = NDArray[np.uint8]
 _EXPOSURE, _TAKEN, _FRACTION, _CHANGED = 0x8769, 0x9003, 0x9291, 0x0132  # EXIF
 _LARGEST = 2**28  # bytes of a photo's file
-_WINDOW = (3, 10)  # half the side of a window, least and most [px]
+_LARGEST_WINDOW = 10  # half its side [px]
 _NEAREST = 16  # corners of markers that predict a point
 _STEPS = 25
 _SIDE = 480  # of a small picture [px]
@@ -165,15 +166,14 @@ def _see(board: Board, grey: Array, result: PhotoPoints, blurs: list[float]) -> 
         names, places = [n for n, ok in zip(names, near, strict=True) if ok], places[near]
     count = 4 if board.kind == "markers" else _NEAREST
     starts, directions = _predicted(places, on_board, in_image, min(count, len(on_board)))
-    scale = np.linalg.svd(directions, compute_uv=False)[:, 1]  # least [px/m]
-    half = np.minimum(0.9 * scale * _free_around(board) - 0.5, _WINDOW[1])
+    half = np.minimum(windows(board.clear, directions), _LARGEST_WINDOW)
     signs = np.ones((len(names), 2))
     if board.kind not in CHEQUERED:
         by_letter = {"a": (1, -1), "b": (-1, -1), "c": (-1, 1), "d": (1, 1)}
         signs = np.array([by_letter[name[-1]] for name in names])
     limits = np.array(result.size) - 1.0
     inside = ((starts >= half[:, None]) & (starts <= limits - half[:, None])).all(axis=1)
-    large = half >= _WINDOW[0]
+    large = half >= SMALLEST_WINDOW
     for i in np.flatnonzero(inside & ~large):
         result.omitted[names[i]] = (float(starts[i, 0]), float(starts[i, 1]), "too small")
     rows = np.flatnonzero(inside & large)
@@ -188,17 +188,6 @@ def _see(board: Board, grey: Array, result: PhotoPoints, blurs: list[float]) -> 
             result.points[names[rows[row]]] = (u, v, sigma)
             blurs.append(blur)
     return ""
-
-
-def _free_around(board: Board) -> float:
-    """Return the radius around points of a board in which nothing else is, [m]."""
-    gap = board.square - board.marker
-    if board.kind == "charuco":
-        return gap / float(np.sqrt(2.0))
-    if not board.markers:
-        return 0.45 * board.square
-    cells = marker_dictionary(board.dictionary).markerSize + 2
-    return min(float(np.sqrt(2.0)) * board.marker / cells, gap)
 
 
 def _markers(board: Board, picture: Picture8) -> tuple[Array, Array] | str:

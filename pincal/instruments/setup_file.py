@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from pincal.errors import MeasurementError, located
 from pincal.files.yaml import Entry, Readers, Vector, read_yaml
-from pincal.instruments.board import read_board
+from pincal.instruments.board import CHEQUERED, read_board
 from pincal.instruments.camera import Camera, Markers
 from pincal.instruments.lens import Lens
 from pincal.model.checks import must_be
@@ -62,7 +62,7 @@ def _board(entry: Entry, name: str, folder: Path) -> Markers:
     if isinstance(entry.value, str):
         return Markers(name=name, **_printed(folder / entry.text()))
     place = dict.fromkeys(("at", "rotation", "normal"), Entry.vector)
-    numbers = dict.fromkeys(("tolerance", "scale"), Entry.number)
+    numbers = dict.fromkeys(("tolerance", "scale", "clear"), Entry.number)
     readers: Readers = {"points": _points, "file": Entry.text, "known": Entry.flag}
     values = entry.values({**readers, **place, **numbers})
     if "file" in values:
@@ -77,7 +77,9 @@ def _printed(path: Path) -> dict[str, Any]:
     board = read_board(path)
     if board.kind == "markers":
         return {"points": dict.fromkeys(board.points)}
-    return {"points": board.points, "scale": board.scale_sigma, "normal": (0.0, 0.0, 1.0)}
+    clear = board.clear if board.kind in CHEQUERED else 0.0  # of markers only OpenCV knows
+    fields = {"points": board.points, "scale": board.scale_sigma, "clear": clear}
+    return {**fields, "normal": (0.0, 0.0, 1.0)}
 
 
 def _lens(entry: Entry, name: str) -> Lens:

@@ -331,21 +331,22 @@ class HeldUnknowns(NamedTuple):
     """Ids of the unknowns that are unobservable together, a group for each direction."""
     weak: tuple[str, ...]
     """Ids of those that are weakly determined."""
-    least: float
-    """By how many times better than machines differ a direction had to be determined."""
+    fewest: int
+    """How many directions are held at least, besides those that no noise would let be observed."""
     weakest: float
-    """By how many times the weakest is of those that were not held."""
+    """By how many times better than machines differ the weakest is determined that is not held."""
 
 
 def hold_unobservable(
-    mechanism: Mechanism, system: System, nominal: Linear, held: HeldUnknowns | None, least: float
+    mechanism: Mechanism, system: System, nominal: Linear, held: HeldUnknowns | None, fewest: int
 ) -> HeldUnknowns:
     """Return the unknowns, gauge freedoms held, less what the measurements leave unobservable.
 
     Poses are unknowns, conditions those where a search starts. Of all parameters that fit as well,
     those nearest to the nominal ones, each change measured by what it alone would do to the
-    measurements; then, where noise determines them less than ``least`` times better than machines
-    differ, by how much these differ. What was held at other noise says what noise does not change.
+    measurements; then, where noise determines them no better than machines differ, and at least
+    along the ``fewest`` weakest directions, by how much these differ. What was held at other noise
+    says what noise does not change.
 
     Raises:
         ObservabilityError: no measured pose is one that the legs reach.
@@ -372,13 +373,14 @@ def hold_unobservable(
     scale = 1.0 / np.abs(observable.map / plausible[:, None]).max(axis=0)
     R = replace(system, unknowns=observable).triangle(nominal, system.kept.astype(float))
     _, information, axes = np.linalg.svd(R[:-1, :-1] * scale)
-    weak = axes[int((information > least).sum()) :]
-    weakest = float(information[information > least].min(initial=np.inf))
+    free_count = min(int((information > 1.0).sum()), len(information) - fewest)
+    weak = axes[free_count:]
+    weakest = float(information[:free_count].min(initial=np.inf))
     directions = np.column_stack((directions, observable.map @ (weak * scale).T))
     directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
     names = taking_part(observable.free_labels, weak) if len(weak) else ()
     less = observable.held(weak / scale) if len(weak) else observable
-    return HeldUnknowns(less, observable, nominal, directions, groups, names, least, weakest)
+    return HeldUnknowns(less, observable, nominal, directions, groups, names, fewest, weakest)
 
 
 class WeakPair(NamedTuple):
