@@ -202,7 +202,7 @@ def over_pulley(
         replace(line, placement=Placement(), axis=UP, home=free + radius * wrap),
     )
     parameters = (*leg.parameters, (name, radius))
-    return replace(leg, joints=(*joints, tip), parameters=parameters)
+    return replace(leg, joints=(*joints, tip), parameters=parameters, settled=False)
 
 
 def is_cable(leg: Leg) -> bool:

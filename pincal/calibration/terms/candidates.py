@@ -168,8 +168,8 @@ def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
             of_parameters.append((key, named))
         else:
             sensors[key] = replace(sensors[key], terms=(*sensors[key].terms, named))
-    parameters = (*leg.parameters, (name, 0.0))
-    return replace(leg, sensors=tuple(sensors), terms=tuple(of_parameters), parameters=parameters)
+    parameters, placed = (*leg.parameters, (name, 0.0)), tuple(of_parameters)
+    return replace(leg, sensors=tuple(sensors), terms=placed, parameters=parameters, settled=True)
 
 
 def _new_name(leg: Leg, name: str) -> str:
