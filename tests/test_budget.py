@@ -21,7 +21,7 @@ LINES = {
     "estimation": 4_657,
     "files": 3_337,
     "formats": 3_493,
-    "instruments": 1_569,
+    "instruments": 1_582,
     "kinematics": 3_339,
     "model": 3_612,
     "show": 4_204,

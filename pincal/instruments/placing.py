@@ -50,30 +50,29 @@ def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, 
     if len(rows) < 4 or not extent.max() > _STILL:
         return None
     draw, candidates = np.random.default_rng(0), []
+    known = None if points is None else points[often]
     for _ in range(_DRAWS if len(rows) > _POSES // 4 else 1):
         drawn = draw.choice(rows, min(_POSES, max(4, len(rows) // 2)), replace=False)
-        part = _Rays(T[drawn], rays[np.ix_(drawn, often)])
+        part = _Rays(T[drawn], rays[np.ix_(drawn, often)], known)
         cube = Rotation.create_group("O").as_rotvec()
         order = np.argsort([part.cost(turn) for turn in cube])[:_BEST]
         candidates += [part.sought(cube[place]) for place in order]
-    bundle = _Rays(T[rows], rays[np.ix_(rows, often)])
+    bundle = _Rays(T[rows], rays[np.ix_(rows, often)], known)
     turn = min(candidates, key=bundle.cost)
     for _ in range(_ROUNDS):
         bundle = bundle.without(turn)
         turn = bundle.sought(turn)
-    every = _Rays(T, rays).without(turn)
-    position, solved, _ = every.solution(turn)
-    solved[every.seen.sum(axis=0) < 2] = np.nan
-    if points is not None:  # a platform that does not turn shows but where they are from the camera
-        position = position + np.nanmedian(points - solved, axis=0)
-    return np.concatenate((position, turn)), solved if points is None else points
+    place = np.concatenate((bundle.solution(turn)[0], turn))
+    if points is not None:
+        return place, points
+    return place, _Rays(T, rays, None).points_from(place)
 
 
 class _Rays:
     """Rays that points are seen along at poses: their misses for a rotation of the camera."""
 
-    def __init__(self, T: Array, rays: Array) -> None:
-        self.T = T
+    def __init__(self, T: Array, rays: Array, points: Array | None) -> None:
+        self.T, self.points = T, points
         self.seen = np.isfinite(rays[..., 0])
         self.rays = np.where(self.seen[:, :, None], rays, 0.0)
 
@@ -88,6 +87,11 @@ class _Rays:
         A, (R, t) = self._across(turn), (self.T[:, :3, :3], self.T[:, :3, 3])
         M = A.shape[1]
         AR = A @ R[:, None]
+        if self.points is not None:
+            fixed = (R @ self.points.T).transpose(0, 2, 1) + t[:, None]
+            b = (A @ fixed[..., None]).sum(axis=(0, 1))[:, 0]
+            place = np.linalg.lstsq(A.sum(axis=(0, 1)), b, rcond=1e-9)[0]
+            return place, self.points, (A @ (fixed - place)[..., None])[..., 0]
         normal, right = np.zeros((M + 1, 3, M + 1, 3)), np.zeros((M + 1, 3))
         normal[0, :, 0] = A.sum(axis=(0, 1))
         A_t = (A @ t[:, None, :, None])[..., 0]
@@ -123,7 +127,16 @@ class _Rays:
         missed = np.linalg.norm(self.solution(turn)[2], axis=2)
         usual = np.median(missed[self.seen])
         good = self.seen & (missed <= _GROSS * usual)
-        return _Rays(self.T, np.where(good[:, :, None], self.rays, np.nan))
+        return _Rays(self.T, np.where(good[:, :, None], self.rays, np.nan), self.points)
+
+    def points_from(self, place: Array) -> Array:
+        """Return points by the rays of a camera that is placed, (M, 3); NaN if seen too rarely."""
+        A, R = self._across(place[3:]), self.T[:, None, :3, :3]
+        normal = (R.transpose(0, 1, 3, 2) @ A @ R).sum(axis=0)
+        offset = (place[:3] - self.T[:, :3, 3])[:, None, :, None]
+        right = (R.transpose(0, 1, 3, 2) @ A @ offset).sum(axis=0)
+        points = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ right
+        return np.where(self.seen.sum(axis=0)[:, None] > 1, points[..., 0], np.nan)
 
 
 def board_in_camera(points: Array, rays: Array) -> Array | None:
