@@ -26,7 +26,9 @@ WHY = {
     "hold",
     "joblib": "many machines (`pincal montecarlo`): processes whose answers come in order, or Dask "
     "in their place",
-    "trimesh": "meshes (STL, OBJ) of what poses keep clear of (`select --keep-out`)",
+    "yourdfpy": "second reader of the URDFs that pincal writes (tests); meshes for `pincal view`",
+    "trimesh": "meshes of people's URDFs (STL, DAE, OBJ) in `pincal view --meshes`; yourdfpy needs "
+    "it, and its reader of DAE, too",
     "PyYAML": "mechanism files, scanned by the libyaml in its wheels",
     "typer": "command line",
     "rich": "tables and progress",
@@ -45,7 +47,6 @@ WHY = {
     "was killed left",
     "pyarrow": "extra `cluster`: tables of many machines as Parquet",
     "example-robot-data": "tests and examples: twenty and more arms as URDFs with their meshes",
-    "yourdfpy": "second reader of the URDFs that pincal writes",
     "hypothesis": "properties and fuzzed files",
     "playwright": "drives Debian's Chromium, which `.ci/run` installs; without one the tests of "
     "the page skip",

@@ -16,7 +16,7 @@ LINES = {
     "": 268,
     "architectures": 625,
     "calibration": 6_795,
-    "cli": 2_794,
+    "cli": 2_800,
     "design": 2_336,
     "estimation": 4_657,
     "files": 3_337,
@@ -24,14 +24,14 @@ LINES = {
     "instruments": 1_582,
     "kinematics": 3_339,
     "model": 3_612,
-    "show": 4_204,
+    "show": 4_309,
     "symmetry": 1_374,
     "words": 953,
     "workspace": 1_502,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 176,
+    "files": 177,
     "page lines": 900,
     "largest folder": 15,
     "vague names": 0.01,

@@ -377,7 +377,7 @@ def test_calibrate_keeps_what_lies_in_the_result(tmp_path: Path) -> None:
         "calibrate mech poses.csv -o mech",
         "import mech/leg_1.urdf --tip tip -o mech/leg_1.urdf",
         "export mech --original mech/leg_1.urdf -o mech/leg_1.urdf",
-        "picture 5R poses.csv -o poses.csv",
+        "view 5R poses.csv -o poses.csv",
         "workspace 5R --count 5 -o out.csv --picture out.csv",
     ],
 )

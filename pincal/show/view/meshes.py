@@ -1,0 +1,90 @@
+"""Links of a mechanism as the meshes (STL, DAE, OBJ) of the URDF that it was read from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+import yourdfpy
+from yourdfpy.urdf import filename_handler_magic
+
+from pincal.errors import FileError
+from pincal.files.text import read_xml
+from pincal.kinematics.collision import check_mesh
+from pincal.model.mechanism import Mechanism
+from pincal.show.view.bodies import Body, Shape
+
+METAL = "#aab1ba"
+#: Triangles of a link, at most about; cells along it into which corners are gathered.
+MOST_FACES, _CELLS = 3000, (60, 45, 32, 22, 15)
+
+
+def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
+    """Return a body whose links look as a URDF's visuals do, where it has them as meshes.
+
+    Joints have the URDF's names; ``package://`` is looked for in the folders above the file.
+
+    Raises:
+        FileError: the URDF or a mesh is missing or cannot be read, or moves no link of the
+            mechanism.
+        MechanismError: not a well-formed URDF.
+    """
+    path = Path(urdf)
+    read_xml(path, "robot")  # yourdfpy repairs what is broken
+    robot = yourdfpy.URDF.load(path, load_meshes=False, build_scene_graph=False).robot
+    shapes = {
+        link.name: tuple(_mesh(path, v) for v in link.visuals if v.geometry.mesh is not None)
+        for link in robot.links
+    }
+    joints, paths = {joint.name: joint for joint in robot.joints}, list(body.parts)
+    parts, found = dict(body.parts), False
+    for number, (leg, chain) in enumerate(zip(mechanism.legs, body.chains, strict=True), 1):
+        pairs = zip(chain, leg.joints, strict=True)
+        links = [(paths[place], joint.name, "child") for place, joint in pairs]
+        for part, name, end in [(f"leg {number}/base", leg.joints[0].name, "parent"), *links]:
+            meshes = shapes.get(getattr(joints.get(name), end, ""), ())
+            parts[part] = meshes or parts[part]
+            found = found or bool(meshes and end == "child")
+    if not found:
+        raise FileError(
+            f"{urdf}: no joint of {mechanism.name!r} moves a link with a mesh; expected the URDF "
+            "that the mechanism was read from"
+        )
+    hub, *_, x, y, z = parts["platform/body"]
+    parts["platform/body"] = (hub, x, y, z)  # the last link is the platform
+    return replace(body, parts=parts)
+
+
+def _mesh(path: Path, visual: Any) -> Shape:
+    """Return a visual as triangles, in its link's frame."""
+    source = visual.geometry.mesh
+    file = filename_handler_magic(source.filename, str(path.resolve()))  # packages above it, too
+    if not Path(file).is_file():
+        raise FileError(
+            f"{path}: its mesh {source.filename} is not found beside it, nor in a folder above it"
+        )
+    try:
+        mesh: Any = trimesh.load(file, force="mesh", process=False)
+    except Exception as error:  # whatever readers of meshes raise
+        raise FileError(f"{file}: a mesh that cannot be read: {error}") from error
+    check_mesh(file, np.asarray(getattr(mesh, "vertices", ())), len(getattr(mesh, "faces", ())))
+    mesh.process()  # corners that several triangles share become one
+    mesh.apply_scale(np.ones(3) if source.scale is None else np.broadcast_to(source.scale, 3))
+    coarsen(mesh)
+    T = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
+    return Shape("mesh", (), T, METAL, np.asarray(mesh.vertices), np.asarray(mesh.faces))
+
+
+def coarsen(mesh: Any) -> None:
+    """Merge corners of a trimesh that are in one cell of a grid, until its triangles are few."""
+    for cells in _CELLS:
+        if len(mesh.faces) <= MOST_FACES:
+            break
+        cell = mesh.extents.max() / cells
+        mesh.apply_scale(1.0 / cell)
+        mesh.merge_vertices(digits_vertex=0)
+        mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+        mesh.apply_scale(cell)
