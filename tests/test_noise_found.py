@@ -87,3 +87,14 @@ def test_what_a_model_lacks_is_no_noise_of_sensors(monkeypatch: pytest.MonkeyPat
         poses = pincal.forward(identified, verification.readings, verification.poses).poses
         missed.append(np.sqrt(np.mean((poses - verification.poses)[:, :2] ** 2)))
     assert missed[1] <= 1.03 * missed[0]
+
+
+def test_exact_readings_of_eight_drives_leave_no_direction_open() -> None:
+    """Noise of more readings than freedoms is far below that of poses, and not zero."""
+    nominal = pincal.load_mechanism("8cable")
+    plan = pincal.Plan(pincal.sample_workspace(nominal, 40))
+    truth = pincal.disturb(nominal, 1e-3, seed=1)
+    data = pincal.simulate(nominal, truth, plan, pincal.Noise(1e-4, 1e-4, 0.0), 1).measurements
+    result = pincal.calibrate(nominal, data, folds=0)
+    assert result.converged
+    assert 0.0 < result.noise.reading < 1e-5 < result.noise.position < 2e-4

@@ -188,8 +188,9 @@ def estimated_noise(
     least[_R] *= noise.reading > 0.0  # of a size that is not known yet
     variance = moments.off_zero(exact=exact).variances(assumed)
     variance = np.clip(variance, least, moments.scale * _LARGEST_STEP)
-    if exact and ratio[_R] * variance[_R] <= _SMALLEST**2 * (ratio * variance).max():
-        variance[_R] = 0.0
+    floor = _SMALLEST**2 * (ratio * variance).max() / ratio[_R]
+    if variance[_R] <= floor:
+        variance[_R] = 0.0 if exact else floor
     factors = np.append(np.sqrt(variance), 0.0)
     sizes = (noise.position, noise.orientation, reading, noise.pixel)
     return Noise(*(float(size * factor) for size, factor in zip(sizes, factors, strict=False)))

@@ -14,6 +14,7 @@ from pincal.design.select import Selection
 from pincal.estimation.observability.identifiable import NEGLIGIBLE
 from pincal.model.checks import counted, listed
 from pincal.model.mechanism import Mechanism
+from pincal.model.relations import ORIGIN
 from pincal.show.misses import (
     WorkspaceErrors,
     camera_misses,
@@ -212,12 +213,11 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> list[T
 
 
 def _held_out_row(result: CalibrationResult) -> tuple[str, dict[str, str]]:
-    """Return which poses were held out, along some axes alone if so, and by unit what they miss."""
+    """Return which poses were held out, of points or axes alone if so, and by unit their errors."""
     assert result.validation is not None
-    targets, columns = result.validation.targets, result.options.setup.positions
-    axes = [name for names in columns(result.nominal.platform).values() for name in names]
-    measured = [group.name for group in result.observed if group.name in axes]
-    along = f"{named(measured)} alone, " if 0 < len(measured) < len(axes) else ""
+    targets = result.validation.targets
+    measured, every = _measured_parts(result)
+    along = f"{named(measured)} alone, " if measured and not every else ""
     if not measured and "px" in result.validation.missed:
         along = "across lines of sight, "
     count = max(target.poses for target in targets)
@@ -226,6 +226,17 @@ def _held_out_row(result: CalibrationResult) -> tuple[str, dict[str, str]]:
         limit = np.sqrt(np.mean([target.limit**2 for target in targets if target.unit == unit]))
         cells[unit] = f"{number(size, unit)} (≤ {number(float(limit), unit)})"
     return f"{along}{counted(count, f'{result.validation.kind} pose')}, with noise", cells
+
+
+def _measured_parts(result: CalibrationResult) -> tuple[list[str], bool]:
+    """Return which points, or axes of points, were measured, and whether all were."""
+    positions = result.options.setup.positions(result.nominal.platform)
+    observed = {group.name for group in result.observed}
+    seen = {target: [n for n in names if n in observed] for target, names in positions.items()}
+    parts = list[str]()
+    for target, names in seen.items():
+        parts += [target] if target != ORIGIN and names == positions[target] else names
+    return parts, seen == positions
 
 
 def held_out_errors(result: CalibrationResult) -> dict[str, float]:
