@@ -329,8 +329,12 @@ def test_what_was_held_is_not_promised_elsewhere(jitter: float) -> None:
     still[:, 3] = 0.3 + jitter * np.random.default_rng(6).standard_normal(len(still))
     plan = pincal.Plan(pincal.forward(arm, still).poses, readings=still)
     data = pincal.simulate(arm, truth, plan, noise, seed=5).measurements
-    with pytest.raises(pincal.ObservabilityError, match=r"(together|weakly deter).*--strict"):
-        pincal.calibrate(arm, data, noise=noise, strict=True)
+    if not jitter:
+        with pytest.raises(pincal.ObservabilityError, match=r"together.*--strict"):
+            pincal.calibrate(arm, data, noise=noise, strict=True)
+    else:
+        (said, *_) = pincal.calibrate(arm, data, noise=noise, strict=True).warnings
+        assert "weakly determined" in said
     result = pincal.calibrate(arm, data, noise=noise)
     assert result.undetermined_directions is not None
     there = result.expected_error(plan)

@@ -375,10 +375,11 @@ def test_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a browser the address is printed, with what to do."""
     monkeypatch.setattr("webbrowser.open", lambda _: False)
 
-    def interrupt(_: object) -> None:
-        raise KeyboardInterrupt
+    class Interrupted:
+        def wait(self) -> None:
+            raise KeyboardInterrupt
 
-    monkeypatch.setattr("threading.Event.wait", interrupt)
+    monkeypatch.setattr("pincal.cli.view.Event", Interrupted)
     monkeypatch.setattr("pincal.show.view.view.PageServer.__init__", lambda *_: None)
     monkeypatch.setattr("pincal.show.view.view.PageServer.url", "http://here/", raising=False)
     monkeypatch.setattr("pincal.show.view.view.PageServer.close", lambda *_: None)

@@ -207,7 +207,14 @@ def _far(result: CalibrationResult) -> list[Finding]:
         worst = parameters[int(np.argmax(std / plausible))]
         values = {"parameter": worst.id, "half": worst.half, "unit": worst.unit}
         ids = [parameters[i].id for i in weak]
-        return [finding("weakly-determined", parameters=ids, held=options.latent, **values)]
+        return [
+            finding(
+                "weakly-determined",
+                parameters=ids,
+                held=options.latent and not options.strict,
+                **values,
+            )
+        ]
     moved = np.array([p.change for p in parameters]) - result.calibration.shift
     surely = (np.abs(moved) - half) / plausible  # more than its uncertainty
     far = parameters[int(np.argmax(surely))]

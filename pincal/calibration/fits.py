@@ -49,7 +49,7 @@ from pincal.words.wording import filled
 
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _HELD_MOST = 100.0  # times better determined than machines differ: those directions are always free
-_PATIENCE = 60  # evaluations of a search before it is asked whether it runs astray
+_PATIENCE = 130  # evaluations of a search before it is asked whether it runs astray
 _REFITS = 5  # with noise that was estimated
 SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
 
@@ -231,14 +231,10 @@ def _all_legs(
     known, former = calibration.noise.known, begin if rows is None else None
     counts, progress = calibration.counts, options.progress
     system = System(problem, free, counts, known, max_evaluations=patience, progress=progress)
-    fit, held = _fit_holding(calibration, system, start, former)
-    if options.strict and held.directions.size:
-        weak = () if held.groups else held.weak
-        lost = finding("undetermined-held", groups=held.groups, weak=weak)
-        raise ObservabilityError(
-            f"{filled(WORDINGS[lost.code].says, lost)}. Measure poses that separate them, fix one "
-            "of them, or hold them (leave out --strict)"
-        )
+    if options.strict:
+        fit, held = _fit_all(calibration, system, start), None
+    else:
+        fit, held = _fit_holding(calibration, system, start, former)
     if former:  # whose search began where this one's would have
         fit = replace(fit, first=former.fits[0].first)
     return Fits(calibration, [fit], gauge, held)
@@ -274,6 +270,24 @@ def _values(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, f
     nominal = np.concatenate([leg.nominal for leg in legs])
     ids = [id_ for leg in legs for id_ in leg.parameter_ids]
     return dict(zip(ids, nominal if parameters is None else parameters, strict=True))
+
+
+def _fit_all(calibration: Calibration, system: System, start: State | Linear | None) -> Fit:
+    """Return a fit with nothing held; what is weakly determined goes where the measurements say.
+
+    Raises:
+        ObservabilityError: directions that no noise, however small, would let be observed.
+    """
+    begin = start or system.problem.start(system.unknowns.start)
+    linear = begin if isinstance(begin, Linear) else system.problem.evaluate(begin)
+    lost = hold_unobservable(calibration.mechanism, system, linear, None, 0).groups
+    if lost:
+        held = finding("undetermined-held", groups=lost, weak=())
+        raise ObservabilityError(
+            f"{filled(WORDINGS[held.code].says, held)}. Measure poses that separate them, fix one "
+            "of them, or hold them (leave out --strict)"
+        )
+    return robust_fit(system, loss_of(calibration.options.loss), linear, near=bool(start))
 
 
 def _fit_holding(
@@ -324,7 +338,7 @@ def _unless_astray(
     changes = np.abs(fit.parameters - nominal.state.parameters)
     if fit.converged or (changes > plausible_changes(mechanism, system.problem.legs)).any():
         return fit
-    return robust_fit(system, loss, begin, near=near)
+    return robust_fit(system, loss, fit.last, near=near)
 
 
 def _measured(calibration: Calibration) -> Fits:
