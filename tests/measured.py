@@ -13,7 +13,6 @@ from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.plausibility import implausible
 from pincal.calibration.validation import Validation
-from pincal.design.simulate import platform_errors
 from pincal.words.findings import sentences
 
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
@@ -149,9 +148,9 @@ def platform_accuracy(
     are no errors where these frames were not measured.
     """
     platform = model.platform
-    twists = platform_errors(model, truth, poses)
-    ok = np.isfinite(twists).all(axis=1)
-    goal = platform.transforms(platform.moved(poses, twists)[ok]).as_matrix()
+    reached = pincal.forward(truth, pincal.inverse(model, poses).readings, poses).poses
+    ok = np.isfinite(reached).all(axis=1)
+    goal = platform.transforms(reached[ok]).as_matrix()
     wanted = platform.transforms(poses[ok]).as_matrix()
     rows = list(platform.twist_rows)
     linear = np.array([row < 3 for row in rows])

@@ -18,7 +18,6 @@ from test_words import values_of
 from typer.main import get_command
 
 import pincal
-from pincal import errors
 from pincal.cli.app import app
 from pincal.model.platform import WAYS
 from pincal.words.findings import WORDINGS
@@ -48,17 +47,21 @@ def test_studies_on_the_pages_are_as_they_come_now(name: str, tmp_path: Path) ->
     assert not stale
 
 
+def kinds_of_errors(kind: type = pincal.PincalError) -> list[type]:
+    """Return a class of errors, and all those of it."""
+    return [kind, *(deeper for sub in kind.__subclasses__() for deeper in kinds_of_errors(sub))]
+
+
 def test_errors_page_has_each_error() -> None:
     """Each class has a section with its docstring, causes, a remedy, and which built-in it is."""
     text = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
     sections = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL))
-    for name, kind in vars(errors).items():
-        if inspect.isclass(kind) and issubclass(kind, errors.PincalError):
-            page = sections[name]
-            assert (inspect.getdoc(kind) or "") in page
-            assert all(f"**{part}**: " in page for part in ("Causes", "What to do"))
-            base = kind.__bases__[-1]
-            assert base is Exception or f"also a `{base.__name__}`" in page
+    for kind in kinds_of_errors():
+        page = sections[kind.__name__]
+        assert (inspect.getdoc(kind) or "") in page
+        assert all(f"**{part}**: " in page for part in ("Causes", "What to do"))
+        base = kind.__bases__[-1]
+        assert base is Exception or f"also a `{base.__name__}`" in page
 
 
 def test_every_page_is_linked() -> None:
@@ -197,17 +200,13 @@ def test_every_error_is_raised() -> None:
     ``TypeError`` and ``AttributeError`` are for wrong calls, ``ValueError`` and
     ``FileExistsError`` for what a reader or a writer turns into one of pincal's.
     """
-    kinds = {
-        name: kind
-        for name, kind in vars(errors).items()
-        if isinstance(kind, type) and issubclass(kind, Exception)
-    }
+    kinds = {kind.__name__ for kind in kinds_of_errors()}
     # a reader's argument; and what makes MisfitError, ObservabilityError, or returns what it got
     names = raised() - {"error_type", "explained_error"}
-    assert names - set(kinds) <= {
+    assert names - kinds <= {
         *("TypeError", "ValueError", "AttributeError", "SystemExit", "FileExistsError")
     }
-    assert set(kinds) <= names
+    assert kinds <= names
 
 
 def test_dependencies_page_is_what_is_installed(dependencies: dict[str, Any]) -> None:

@@ -21,7 +21,6 @@ from resized import scaled
 
 import pincal
 from pincal import Measurements, Mechanism, Noise, Platform
-from pincal.blas import one_thread
 from pincal.model.consistency import home_gap
 from pincal.workspace.criteria import in_workspace
 
@@ -534,17 +533,15 @@ def test_blas_has_its_threads_back() -> None:
     def threads() -> set[int]:
         return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
 
-    @one_thread()
-    def nested() -> None:
-        with one_thread():
-            assert threads() == {1}
+    def within(_: int) -> None:
+        pincal.inverse("5R", [[0.0, 0.3]])
         assert threads() == {1}
         raise ValueError
 
     with threadpool_limits(2, user_api="blas"):
         before = threads()
         with pytest.raises(ValueError):
-            nested()
+            pincal.sample_workspace("5R", 3, progress=within)
         assert threads() == before
 
 

@@ -23,7 +23,6 @@ from resized import scaled
 
 import pincal
 from pincal import Element, Measurements, Mechanism, Setup
-from pincal.model.checks import ROUNDING
 from pincal.symmetry.carry import carry
 from pincal.symmetry.elements import isometry
 
@@ -266,7 +265,7 @@ def assert_goes_with(
     for p in (p for leg in first.legs for p in leg.parameters):
         now, by = then[changed.ids[p.id]], changed.factors[p.id]
         assert now.std == pytest.approx(abs(by) * p.std, rel=SAME), p.id
-        rounding = ROUNDING * max(1.0, abs(p.nominal)) * abs(by)
+        rounding = 1e-12 * max(1.0, abs(p.nominal)) * abs(by)
         ends = sorted(by * (end - p.nominal) for end in (p.low, p.high))
         for found, wanted in zip(
             (now.change, now.low - now.nominal, now.high - now.nominal),

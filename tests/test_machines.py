@@ -33,6 +33,16 @@ def test_errors_are_as_large_as_their_standard_errors(name: str) -> None:
     assert abs(squares.mean() - 1.0) < 4.0 * np.sqrt(2.0 / squares.size)
 
 
+def test_legs_without_a_drive_are_measured_with_noise() -> None:
+    """They read nothing: poses 4 mm off are no readings that do not follow, and explain nothing."""
+    mechanism, noise = MACHINES["four_bar"](), pincal.Noise(4e-3, 4e-3, 1e-4)
+    plan = pincal.sample_configurations(mechanism, 24)
+    data = pincal.simulate(mechanism, mechanism, plan, noise).measurements
+    result = pincal.calibrate(mechanism, data, noise=noise)
+    assert result.promises
+    assert not result.findings
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["four_bar", "tricept"])
 def test_each_command_takes_machines_with_closed_loops(name: str, tmp_path: Path) -> None:

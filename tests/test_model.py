@@ -18,7 +18,6 @@ from pincal import MeasurementError, MechanismError
 from pincal.files.columns import reading_columns, write_plan
 from pincal.files.measurements import read_measurements, read_poses, read_readings
 from pincal.files.mechanism_folders import as_mechanism, bundled
-from pincal.instruments.setup_file import read_setup
 
 THREE = pincal.load_mechanism("3RRR")
 POSES, READINGS = np.zeros((4, 3)), np.ones((4, 3))
@@ -346,7 +345,7 @@ def test_a_platform_that_only_turns_is_calibrated(tmp_path: Path) -> None:
         lambda: read_poses("3RRR".split, THREE),
         lambda: read_measurements(None, THREE),
         lambda: read_measurements(POSES, THREE),
-        lambda: read_setup({"frame": "unknown"}),
+        lambda: pincal.forecast(THREE, POSES, setup={"frame": "unknown"}),
     ],
 )
 def test_wrong_types_at_the_door_are_named(call: Callable[[], object]) -> None:
@@ -367,7 +366,6 @@ def test_what_is_handed_over_is_taken_in_every_form(tmp_path: Path) -> None:
     transforms = mechanism.platform.transforms(data.poses)
     np.testing.assert_allclose(read_poses(transforms, mechanism).poses, data.poses)
     np.testing.assert_array_equal(read_poses(data.poses.tolist(), mechanism).poses, data.poses)
-    assert read_setup(pincal.Setup()) == pincal.Setup()
     with pytest.raises(MeasurementError, match=r"poses of '5R': expected shape \(N, 2\); got"):
         read_measurements(data, pincal.load_mechanism("5R"))
 

@@ -20,7 +20,6 @@ from marks import quick
 import pincal
 from pincal import MechanismError, load_mechanism
 from pincal.files.mechanism_folders import save_mechanism
-from pincal.files.urdf import read_urdf
 from pincal.formats.arm import serial_arm
 from pincal.formats.mjcf import read_mjcf
 
@@ -187,7 +186,7 @@ def check_urdf(seed: int, folder: Path) -> None:
     text, moving = random_urdf(seed)
     file = folder / "robot.urdf"
     file.write_text(text, encoding="utf-8")
-    arm = serial_arm(read_urdf(file), "tool")
+    arm = pincal.Mechanism.from_urdf(file, "tool")
     joints = [joint.name for joint in arm.legs[0].moving]
     assert joints == moving
     model = pin.buildModelFromUrdf(str(file))

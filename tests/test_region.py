@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.kinematics.closing import close_legs
 from pincal.kinematics.closure import nominal_legs
-from pincal.types import Array, Mask
 from pincal.workspace.criteria import Criteria, in_workspace
 from pincal.workspace.grid import Axis, default_grid
 from studies.inscribed import largest_circle
@@ -176,7 +175,7 @@ def test_square_grid_follows_quarter_turns() -> None:
     assert short.computed == 12 * 13 + 1
 
 
-def by_closing(criteria: Criteria, matrices: Array) -> Mask:
+def by_closing(criteria: Criteria, matrices: np.ndarray) -> np.ndarray:
     """Return which poses count, by closing every leg at every pose."""
     return criteria._counted(close_legs(nominal_legs(criteria.mechanism), matrices))
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from marks import quick
+from measured import workspace
 from rich.console import Console
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.model.sensor import law_of_sensors
 from pincal.show.tables import symmetry_table
 from pincal.symmetry.carry import canonical, carry
 
@@ -145,10 +145,10 @@ def test_generated_parameters_are_the_papers() -> None:
         np.testing.assert_allclose(degrees, [-150, -30, 90])
     first, second = pincal.load_mechanism("5R").legs
     assert (second.nominal_by_name["A_x"], first.nominal_by_name["A_x"]) == (0.5, -0.5)
-    p = second.nominal_by_name | {"k": 1.3, "gamma": 0.2}
-    law = law_of_sensors(second, p, np.zeros(1), np.zeros((1, len(p))))
-    theta = np.array([[0.4]])
-    np.testing.assert_allclose(law.reading(theta), 1.3 * (np.pi - theta) + 0.2)
+    five_bar = pincal.load_mechanism("5R").with_parameters({second.name: {"k": 1.3, "gamma": 0.2}})
+    solved = pincal.inverse(five_bar, workspace("5R", 5))
+    theta = solved.joints[second.name][:, second.active[0]]
+    np.testing.assert_allclose(solved.readings[:, 1], 1.3 * (np.pi - theta) + 0.2)
 
 
 def test_canonical_form_of_a_leg_is_the_same_leg(mechanism: pincal.Mechanism) -> None:

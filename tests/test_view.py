@@ -27,7 +27,6 @@ from command_line import contents, done, run
 from neighbours import skeleton
 
 import pincal
-from pincal.design.simulate import platform_errors
 from pincal.show.view.bodies import Body, body
 from pincal.show.view.page import answer
 from pincal.show.view.scene import moved, scene
@@ -139,7 +138,8 @@ def test_errors_are_magnified_to_first_order() -> None:
     assert found.magnified is not None
     platform = found.body.part("platform/body")
     moved = found.magnified.placements - found.body.placements
-    errors = platform_errors(mechanism, true, found.plan)[:, :2]
+    reached = pincal.forward(true, pincal.inverse(mechanism, found.plan.poses).readings).poses
+    errors = (reached - found.plan.poses)[:, :2]
     assert np.allclose(
         moved[:, platform, :2, 3], 10 * errors, atol=1e-3 * np.abs(errors).max() * 10
     )

@@ -150,7 +150,7 @@ class Judged:
     gap: Array
     """Median closure residual at the nominal parameters, (n_legs,); NaN with less than two rows."""
     stroke: Array
-    """Median distance by which readings move the leg's end over the rows, shape (n_legs,)."""
+    """Median distance by which readings move the leg's end, (n_legs,); without any, the largest."""
     bent: Index
     """Number of rows that close the leg in another working mode than home's, shape (n_legs,)."""
     left: Callable[[int], Array]
@@ -290,9 +290,8 @@ def _in_base(calibration: Calibration, external: External, reached: Array | None
 
 def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> Judged:
     """Return how measurements put right fit each leg at poses of shape (N, 4, 4)."""
-    mechanism, platform = calibration.mechanism, calibration.mechanism.platform
-    count, known = len(mechanism.legs), np.isfinite(matrices.reshape(-1, 16)).all(axis=1)
-    used = calibration.used & np.reshape(known, (-1, 1))
+    mechanism, count = calibration.mechanism, len(calibration.mechanism.legs)
+    used = calibration.used & np.reshape(np.isfinite(matrices).all(axis=(1, 2)), (-1, 1))
     rows, counts = np.flatnonzero(used.any(axis=1)), used.sum(axis=0)
     (gap, stroke), bent = np.full((2, count), np.nan), np.zeros(count, dtype=int)
     block = calibration.leg_block(range(count), rows, used[rows])
@@ -301,16 +300,17 @@ def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> J
         closed = block.evaluate(State(nominal, matrices[rows]))
         for i in np.flatnonzero(counts > 1).tolist():
             leg, served, of_leg = mechanism.legs[i], used[rows, i], block.leg_rows[i]
-            readings = calibration.measurements.readings[rows[served]]
-            readings = readings[:, mechanism.reading_columns[i]]
+            readings = calibration.measurements.readings[rows[served], mechanism.reading_columns[i]]
             deviations = (readings - np.median(readings, axis=0))[:, None]
             by_reading = closed.by_measured[served, of_leg, block.reading_columns[i]]
             moved = np.linalg.norm(by_reading * deviations, axis=(1, 2))
             joints, T = closed.joints[i][served], matrices[rows[served]]
             closure = nominal_legs(mechanism)[i].evaluate(joints, T)
-            bent[i] = (mode_sign(closure) * home_mode(leg, platform) < 0.0).sum()
+            bent[i] = (mode_sign(closure) * home_mode(leg, mechanism.platform) < 0.0).sum()
             gap[i] = np.median(_missed(closed.value[served, of_leg])) / leg.size
             stroke[i] = np.median(moved) / leg.size
+    # of legs without a sensor nothing is read, and yet the platform moves them
+    stroke[[not leg.sensors for leg in mechanism.legs]] = np.nan_to_num(stroke).max()
     left = cache(partial(_nearest, calibration, matrices, block, closed))
     return Judged(hypothesis, calibration, matrices, counts, gap, stroke, bent, left)
 
