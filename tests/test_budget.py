@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_816,
+    "calibration": 6_818,
     "cli": 2_800,
     "design": 2_336,
-    "estimation": 4_658,
+    "estimation": 4_692,
     "files": 3_337,
     "formats": 3_493,
     "instruments": 1_582,

@@ -36,7 +36,7 @@ from pincal.estimation.observability.identifiable import (
     plausible_changes,
 )
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.robust import robust_fit
+from pincal.estimation.robust import check_covariance, robust_fit
 from pincal.estimation.system import Loss, System, loss_of
 from pincal.estimation.unknowns import External, State
 from pincal.model.checks import ALIKE
@@ -49,7 +49,7 @@ from pincal.words.wording import filled
 
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _HELD_MOST = 100.0  # times better determined than machines differ: those directions are always free
-_PATIENCE = 130  # evaluations of a search before it is asked whether it runs astray
+_PATIENCE = 250  # evaluations of a search before it is asked whether it runs astray
 _REFITS = 5  # with noise that was estimated
 SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
 
@@ -287,7 +287,8 @@ def _fit_all(calibration: Calibration, system: System, start: State | Linear | N
             f"{filled(WORDINGS[held.code].says, held)}. Measure poses that separate them, fix one "
             "of them, or hold them (leave out --strict)"
         )
-    return robust_fit(system, loss_of(calibration.options.loss), linear, near=bool(start))
+    fit = robust_fit(system, loss_of(calibration.options.loss), linear, near=bool(start))
+    return check_covariance(calibration.mechanism, fit)
 
 
 def _fit_holding(
@@ -354,7 +355,8 @@ def _measured(calibration: Calibration) -> Fits:
         free, counts = unknowns.part(names), calibration.counts[rows]
         system = System(problem, free, counts, calibration.noise.known, progress=options.progress)
         begin = problem.evaluate(problem.start(free.start))
-        fits.append(robust_fit(system, loss_of(options.loss), begin))
+        fit = robust_fit(system, loss_of(options.loss), begin)
+        fits.append(check_covariance(mechanism, fit))
     return Fits(calibration, fits)
 
 

@@ -7,15 +7,21 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
+from pincal.errors import ObservabilityError
 from pincal.estimation.fit import Fit, Outlier, fit
+from pincal.estimation.observability.identifiable import DIFFER, plausible_changes
 from pincal.estimation.problem import Linear
 from pincal.estimation.solver import solve_poses, unsolved
 from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected
+from pincal.model.mechanism import Mechanism
 from pincal.model.relations import ROW
 from pincal.types import Mask
+from pincal.words.numbers import listed
+from pincal.words.wording import NAMED
 
 _LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
 _ROUNDS = 10  # rounds of leaving rows out
+_GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
 _LINEAR = 0.1  # share of the machine's size, or [rad], up to which noise acts linearly
 
 
@@ -71,6 +77,34 @@ def _under_loss(system: System, loss: Loss, begin: Linear, *, near: bool) -> tup
             fits.append(fit(replace(system, kept=inliers), linear, near=True))
     evaluations = sum(each.evaluations for each in fits)
     return replace(fits[-1], first=fits[0].first, evaluations=evaluations), scale
+
+
+def check_covariance(mechanism: Mechanism, optimum: Fit) -> Fit:
+    """Return a fit; raise if it was lost among parameters, or found values that could be any.
+
+    Lost where noise moves parameters farther than machines differ from their drawings; any where
+    it has done so, and two standard errors are longer than the machine, or more than a radian: no
+    linear covariance holds so far.
+    """
+    if optimum.system.known and optimum.chi2 > _GOOD * max(optimum.degrees_of_freedom, 1):
+        return optimum
+    legs = optimum.problem.legs
+    limit = plausible_changes(mechanism, legs)
+    std = np.sqrt(np.diagonal(optimum.covariance))[: len(limit)]
+    nominal = np.concatenate([leg.nominal for leg in legs])
+    moved, far = np.abs(optimum.parameters - nominal) > limit, std > limit
+    if not ((moved & (2.0 * std > limit / DIFFER)).any() if optimum.converged else far.any()):
+        return optimum
+    ids = np.array([name for leg in legs for name in leg.parameter_ids])[far].tolist()
+    single, hidden = len(ids) == 1, len(ids) - NAMED
+    named = listed([*ids[:NAMED], f"{hidden} more parameters"] if hidden > 1 else ids)
+    them = "it" if single else "them"
+    raise ObservabilityError(
+        f"{named} {'is' if single else 'are'} weakly determined by the measured poses: noise moves "
+        f"{them} farther than machines differ from their drawings. Measure poses that differ more "
+        f"(in orientation above all), hold {them} as near to nominal as can be "
+        "(leave out --strict), or say how well nominal values are known (--priors)"
+    )
 
 
 def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Outlier, ...]:
