@@ -19,7 +19,7 @@ LINES = {
     "cli": 2_800,
     "design": 2_336,
     "estimation": 4_692,
-    "files": 3_337,
+    "files": 3_373,
     "formats": 3_493,
     "instruments": 1_582,
     "kinematics": 3_339,

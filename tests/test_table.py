@@ -305,16 +305,43 @@ def test_points_and_commas_are_not_mixed(tmp_path: Path) -> None:
         pincal.Measurements.from_csv(path, THREE)
 
 
+@pytest.mark.parametrize(
+    ("separator", "cells"),
+    [
+        (",", ['"1,234.5"', "-0.25", '"12,000"']),
+        (";", ["1.234,5", "-0,25", "12.000"]),
+        (";", ["1 234,5", "-0,25", "12\u00a0000"]),
+        (";", ["1'234.5", "-0.25", "12’000"]),
+    ],
+)
+def test_thousands_are_separated_in_any_way(
+    separator: str, cells: list[str], tmp_path: Path
+) -> None:
+    """1234.5, -0.25 and 12000 as people and programs write them, under titles of their own."""
+    path = tmp_path / "thousands.csv"
+    head, row = HEADER.replace(",", separator), separator.join([*cells, "4", "5", "6"])
+    for titles in (
+        "",
+        "Measured on Monday\n",
+        f"# tracker{separator} day 2\n\nline 2\n",
+        "sep=,\n",
+    ):
+        path.write_text(f"{titles}{head.replace('[rad]', '[deg]').replace('[m]', '[mm]')}\n{row}\n")
+        data = pincal.Measurements.from_csv(path, THREE)
+        np.testing.assert_allclose(data.poses[0, :2], [1.2345, -0.25e-3])
+        np.testing.assert_allclose(np.degrees(data.poses[0, 2]), 12000.0)
+
+
 @pytest.mark.parametrize("titles", ["", "Measured on Monday\n", "# tracker;day 2\n\n", "sep=;\n"])
 def test_no_cell_decides_how_a_number_is_read(titles: str, tmp_path: Path) -> None:
-    """A note of 1.234,5 leaves 0.123 and 1.469 as they are; what may be either is refused."""
+    """A note of 1.234,5 leaves 0.123 and 1.469 as they are; measured beside them it is refused."""
     path = tmp_path / "t.csv"
     head = HEADER.replace(",", ";")
     path.write_text(f"{titles}{head};note\n0.123;1.469;-0.25;4;5;6;1.234,5\n")
     data = pincal.Measurements.from_csv(path, THREE)
     assert data.poses.tolist() == [[0.123, 1.469, -0.25]]
-    for thousands in ("1.234,5", "1,234.5", "1 234", "1'234.5"):
-        path.write_text(f"{titles}{head}\n{thousands};2;3;4;5;6\n")
+    for decimal in ("0.123", "1.46", "-12.5"):
+        path.write_text(f"{titles}{head}\n1.234,5;{decimal};1.469;4;5;6\n")
         with pytest.raises(MeasurementError, match="is not a finite number"):
             pincal.Measurements.from_csv(path, THREE)
 

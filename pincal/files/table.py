@@ -31,6 +31,14 @@ _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
+_GROUPED = r"[-+]?[1-9]\d{{0,2}}({0}\d{{3}})+"
+_SPACES = "['’ \u00a0\u202f]"
+_THOUSANDS = {
+    ",": re.compile(_GROUPED.format(",") + r"\.\d+", re.ASCII),
+    r"\.": re.compile(_GROUPED.format(r"\.") + r",\d+", re.ASCII),
+    _SPACES: re.compile(_GROUPED.format(_SPACES) + r"([.,]\d+)?", re.ASCII),
+}
+"""Separators of thousands, and numbers that have them for sure."""
 _MOST_TITLES = 30  # rows above the headers
 #: Files of other kinds, and what to make of them.
 _OTHER_KINDS = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": "CSV"}
@@ -215,7 +223,7 @@ def _of_rows(
         raise MeasurementError(f"{path}: a header but no rows")
     notes = [separated] if separated else []
     notes += [f"{titles} {counted}s above the headers skipped"] if titles else []
-    notes += ["decimal commas"] * _with_points(rows, commas=separated is not None)
+    notes += _in_plain_digits(rows, [*units.values()], commas=separated is not None)
     if notes:
         _log.info("%s: %s", path, ", ".join(notes))
     text = dict(zip(units, map(list, zip(*rows, strict=True)), strict=True))
@@ -229,18 +237,47 @@ def _titles(rows: Sequence[Sequence[str]]) -> int:
     return next(headed, next(several, 0))
 
 
-def _with_points(rows: list[list[str]], *, commas: bool) -> bool:
-    """Write 1234.5 for 1234,5, if commas may be decimal ones; return whether there were any.
+def _in_plain_digits(
+    rows: list[list[str]], units: Sequence[str | None], *, commas: bool
+) -> list[str]:
+    """Write 1234.5 for 1,234.5, 1.234,5 and 1234,5; return what numbers had, in words.
 
-    They are if no text has a decimal point: a sheet's numbers have it whatever a person types.
+    A sign separates thousands if a number of a column with a unit has it for sure, and it is the
+    decimal sign of none. Commas are decimal ones if they may be and no cell has a decimal point: a
+    sheet's numbers have one whatever a person types. Cells that are no numbers stay as they stand.
     """
-    texts = {cell.strip() for row in rows for cell in row if not isinstance(cell, Numeral)}
-    decimal = set(filter(_DECIMAL_COMMA.fullmatch, texts)) if commas else set()
-    if any(map(_DECIMAL_POINT.fullmatch, texts)):
-        decimal.clear()
+    texts = _typed(rows, range(len(units)))
+    measured = _typed(rows, [place for place, unit in enumerate(units) if unit])
+    signs = [sign for sign in _THOUSANDS if _separates(sign, measured)]
+    plain = {cell: _ungrouped(cell, signs) for cell in texts}
+    decimal = {cell for cell, digits in plain.items() if _DECIMAL_COMMA.fullmatch(digits)}
+    commas &= bool(decimal) and not any(map(_DECIMAL_POINT.fullmatch, plain.values()))
+    plain |= {cell: plain[cell].replace(",", ".") for cell in decimal if commas}
     for row in rows:
-        row[:] = [x.replace(",", ".") if x in decimal else x for x in map(str.strip, row)]
-    return bool(decimal)
+        row[:] = [x if isinstance(x, Numeral) else plain[x.strip()] for x in row]
+    return ["thousands separators"] * bool(signs) + ["decimal commas"] * commas
+
+
+def _typed(rows: list[list[str]], columns: Sequence[int]) -> set[str]:
+    """Return the cells of some columns that are text, not numbers of a sheet."""
+    return {row[i].strip() for row in rows for i in columns if not isinstance(row[i], Numeral)}
+
+
+def _separates(sign: str, cells: Iterable[str]) -> bool:
+    """Return whether a sign separates thousands in some cells, and is the decimal sign of none."""
+    decimal = {",": _DECIMAL_COMMA, r"\.": _DECIMAL_POINT}.get(sign)
+    sure, numbers = _THOUSANDS[sign], [cell for cell in cells if re.search(sign, cell)]
+    if decimal and any(map(decimal.fullmatch, (_ungrouped(cell, [sign]) for cell in numbers))):
+        return False
+    return any(map(sure.fullmatch, numbers))
+
+
+def _ungrouped(cell: str, signs: Sequence[str]) -> str:
+    """Return a cell without the signs between thousands, if it is a number that has one of them."""
+    for sign in signs:
+        if re.fullmatch(_GROUPED.format(sign) + r"([.,]\d+)?", cell, re.ASCII):
+            return re.sub(sign, "", cell)
+    return cell
 
 
 def renamed(table: TextTable, headers: Mapping[str, str]) -> TextTable:
