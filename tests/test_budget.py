@@ -15,11 +15,11 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_818,
+    "calibration": 6_814,
     "cli": 2_800,
     "design": 2_336,
     "estimation": 4_692,
-    "files": 3_373,
+    "files": 3_374,
     "formats": 3_493,
     "instruments": 1_582,
     "kinematics": 3_339,

@@ -35,15 +35,16 @@ _SPREAD = 0.5  # share of the run over which these must lie
 def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     """Return what to know first of a result, by it and by the residuals of its fits."""
     held, lacks, rows = fits.held, list[Finding](), list[Finding]()
-    first, noise, far = list[Finding](), _noise(result), _far(result)
-    if held is not None and (held.groups or held.weak):
-        first.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
+    first, astray, noise, far = list[Finding](), list[Finding](), _noise(result), _far(result)
+    if held is not None and (held.groups or held.weak):  # a misfit may be why a search went astray
+        place = astray if held.fewest else first
+        place.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
     first += [*_zeros(result)]
     first += [finding("tolerance-found", **vars(size)) for size in result.calibration.tolerances]
     few = _few(result)
     if rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
-        return (*first, *noise, *far, *few)
+        return (*first, *noise, *astray, *far, *few)
     if result.converged:
         noise = noise or _proportion(fits)
         lacks = lacking(fits)
@@ -54,7 +55,7 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     elif wrong and result.loss == "none":
         values = values_of(outliers[0])
         rows = [finding("outliers", wrong, total=total, lacking=bool(lacks), **values)]
-    return (*first, *noise, *lacks, *far, *rows, *few)
+    return (*first, *noise, *astray, *lacks, *far, *rows, *few)
 
 
 def _few(result: CalibrationResult) -> list[Finding]:
@@ -207,14 +208,8 @@ def _far(result: CalibrationResult) -> list[Finding]:
         worst = parameters[int(np.argmax(std / plausible))]
         values = {"parameter": worst.id, "half": worst.half, "unit": worst.unit}
         ids = [parameters[i].id for i in weak]
-        return [
-            finding(
-                "weakly-determined",
-                parameters=ids,
-                held=options.latent and not options.strict,
-                **values,
-            )
-        ]
+        option = "--strict" * options.strict if options.latent else "--method per-leg"
+        return [finding("weakly-determined", parameters=ids, option=option, **values)]
     moved = np.array([p.change for p in parameters]) - result.calibration.shift
     surely = (np.abs(moved) - half) / plausible  # more than its uncertainty
     far = parameters[int(np.argmax(surely))]

@@ -276,7 +276,8 @@ def _fit_all(calibration: Calibration, system: System, start: State | Linear | N
     """Return a fit with nothing held; what is weakly determined goes where the measurements say.
 
     Raises:
-        ObservabilityError: directions that no noise, however small, would let be observed.
+        ObservabilityError: directions that no noise, however small, would let be observed, or along
+            which noise moves parameters beyond what machines are.
     """
     begin = start or system.problem.start(system.unknowns.start)
     linear = begin if isinstance(begin, Linear) else system.problem.evaluate(begin)

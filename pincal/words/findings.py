@@ -142,7 +142,7 @@ FINDINGS: dict[str, Wording] = {
         "{parameters|length} parameters are weakly determined, {parameter}{% endif %} only to ± "
         "{half|g(2)}{unit|si}",
         "Measure poses that determine it better"
-        "{', hold it at nominal (leave out --method per-leg)' if not held}, or give how well "
+        "{', hold it at nominal (leave out ' ~ option ~ ')' if option}, or give how well "
         "nominal values are known (--priors)",
     ),
     "undetermined-held": Wording(
