@@ -121,7 +121,7 @@ def test_many_undetermined_parameters_are_not_all_listed() -> None:
     near = pincal.simulate(mechanism, mechanism, pincal.Plan(near), NOISE, seed=1).measurements
     with pytest.raises(pincal.ObservabilityError) as caught:
         pincal.calibrate(mechanism, near, strict=True)
-    named = re.split(" move together| are weakly determined", str(caught.value))[0]
+    named = str(caught.value).partition(" move together")[0]
     assert re.search(r"and [0-9]+ more$", named)
     assert named.count("leg_") == 12
     assert len(str(caught.value)) < 1500

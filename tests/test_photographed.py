@@ -171,28 +171,24 @@ SCENES = slow_or_fuzz(["3RRR"], ["6UPS", "delta", "arm with camera", "arm with b
 def test_photos_calibrate_as_forecast(name: str, tmp_path: Path) -> None:
     """The calibrated platform's true error is within 1.3 of what was forecast; χ² is right.
 
-    That is over three sets of photos: a single one is missed by the one or two directions that it
-    tells least of. The forecast knows which boards are too far away to be read.
-    The lens is found where it was unknown. Where nothing is unknown but the machine, errors of its
-    parameters are as their standard errors.
+    The forecast knows which boards are too far away to be read. The lens is found where it was
+    unknown. Where nothing is unknown but the machine, errors of its parameters are as their
+    standard errors.
     """
     place = scenes(name)
     truth = pincal.disturb(place.mechanism, 5e-4 * place.mechanism.size, 1)
-    columns, ratios = [*place.camera.columns], []
-    for seed in range(3):
-        data = place.photographed(truth, tmp_path, seed)
-        sigma = float(np.nanmedian(np.column_stack([*data.sigma_extra.values()])))
-        noise = pincal.Noise(0.0, 0.0, 1e-7, pixel=sigma)
-        result = pincal.calibrate(place.mechanism, data, noise=noise, setup=place.setup)
-        over = place.poses[pincal.inverse(place.mechanism, place.poses).reached.all(axis=1)]
-        over = over[pincal.inverse(result.identified, over).reached.all(axis=1)]
-        setup = place.true_setup(known=False)
-        planned = pincal.forecast(truth, place.poses, noise, columns, setup)
-        expected = planned.platform_error(over)
-        error = platform_accuracy(result.identified, truth, over)
-        ratios.append((error[0] / expected.position, error[1] / (expected.orientation or np.inf)))
-        assert 0.7 < result.reduced_chi2 < 1.4
-    assert (np.sqrt(np.mean(np.square(ratios), axis=0)) < 1.3).all()
+    data = place.photographed(truth, tmp_path)
+    sigma = float(np.nanmedian(np.column_stack([*data.sigma_extra.values()])))
+    noise = pincal.Noise(0.0, 0.0, 1e-7, pixel=sigma)
+    result = pincal.calibrate(place.mechanism, data, noise=noise, setup=place.setup)
+    over = place.poses[pincal.inverse(place.mechanism, place.poses).reached.all(axis=1)]
+    over = over[pincal.inverse(result.identified, over).reached.all(axis=1)]
+    columns, setup = [*place.camera.columns], place.true_setup(known=False)
+    expected = pincal.forecast(truth, place.poses, noise, columns, setup).platform_error(over)
+    error = platform_accuracy(result.identified, truth, over)
+    assert error[0] < 1.3 * expected.position
+    assert error[1] < 1.3 * expected.orientation or not expected.orientation
+    assert 0.7 < result.reduced_chi2 < 1.4
     lens = dict(zip(place.camera.lens.names, place.camera.lens.values, strict=True))
     found = [p for p in result.parameters if p.id.startswith("lens.")]
     for parameter in found:
