@@ -49,7 +49,7 @@ from pincal.words.wording import filled
 
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _HELD_MOST = 100.0  # times better determined than machines differ: those directions are always free
-_PATIENCE = 250  # evaluations of a search before it is asked whether it runs astray
+_PATIENCE = 250  # evaluations of a search before it is asked whether it runs astray; twice if near
 _REFITS = 5  # with noise that was estimated
 SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
 
@@ -336,7 +336,8 @@ def _unless_astray(
     near: bool,
 ) -> Fit:
     """Return a fit; if its search soon leaves what machines differ by, where it was then."""
-    fit = robust_fit(replace(system, max_evaluations=_PATIENCE), loss, begin, near=near)
+    patience = _PATIENCE * (1 + near)
+    fit = robust_fit(replace(system, max_evaluations=patience), loss, begin, near=near)
     changes = np.abs(fit.parameters - nominal.state.parameters)
     if fit.converged or (changes > plausible_changes(mechanism, system.problem.legs)).any():
         return fit
