@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_815,
+    "calibration": 6_817,
     "cli": 2_800,
     "design": 2_336,
     "estimation": 4_692,

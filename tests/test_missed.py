@@ -68,6 +68,18 @@ def test_held_out_poses_are_missed_within_their_limit() -> None:
     np.testing.assert_allclose(limits, simulated, rtol=0.05)
 
 
+def test_poses_of_one_leg_each_are_missed_within_their_limit() -> None:
+    """Each row serves one leg, and is predicted by all: four sets, none over its 95 % limit."""
+    noise, sets = pincal.Noise(2e-4, 1e-4), ("leg_1", "leg_2", "leg_3") * 16
+    plan = pincal.Plan(workspace("3RRR", 48), sets)
+    for seed in range(4):
+        truth = pincal.disturb("3RRR", 2e-3, seed=seed)
+        data = pincal.simulate("3RRR", truth, plan, noise, seed=seed).measurements
+        result = pincal.calibrate("3RRR", data, noise=noise, method="per-leg").validated(3)
+        for target in result.validation.targets:
+            assert 0.2 * target.limit < target.rms < target.limit
+
+
 @pytest.mark.slow
 def test_an_unknown_frame_is_fitted_to_the_nominal_machine() -> None:
     """Positions of the nominal machine are off by what a rigid alignment leaves, to first order.

@@ -237,9 +237,11 @@ def _drawn(fits: Fits, held: Calibration, linear: Linear, unit: float, seed: int
     Readings alone place the platform there: noise, of a scale squared, and what fits do not know
     of parameters and frames go through the legs' rows to it, and from it to what was measured.
     """
-    if not fits.latent:
-        start = placed(held.latent_problem, held.measurements, fits.parameters, fits.external)
-        linear = held.latent_problem.evaluate(start)
+    if not fits.latent:  # a row that serves one leg shows by all of them where the platform is
+        rows, legs = np.arange(len(held.measurements)), range(len(held.mechanism.legs))
+        problem = replace(held.latent_problem, leg_block=held.leg_block(legs, rows))
+        start = placed(problem, held.measurements, fits.parameters, fits.external)
+        linear = problem.evaluate(start)
     A, B, S, state = linear.by_parameter, linear.by_pose, linear.noise_root, linear.state
     n, observation = linear.problem.leg_block.n_rows, linear.problem.observation
     random, unknown = np.random.default_rng(seed), np.zeros((A.shape[2], _DRAWN))
