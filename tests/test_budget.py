@@ -24,7 +24,7 @@ LINES = {
     "instruments": 1_582,
     "kinematics": 3_339,
     "model": 3_612,
-    "show": 4_320,
+    "show": 4_330,
     "symmetry": 1_374,
     "words": 953,
     "workspace": 1_502,

@@ -20,6 +20,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import parse_terms
 from pincal.estimation.unknowns import BlockRows, State
+from pincal.finding import Finding
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import influences_of, sides
 
@@ -394,6 +395,13 @@ def test_a_machine_without_terms_needs_none() -> None:
     found = pincal.explain(plain, data, noise=noise)
     assert found.verdict == "geometry"
     assert min(one.corrected for one in found.candidates) > 0.01
+    assert "by chance" not in str(found)
+    values = {"term": "order", "quantity": "readings", "p_value": 2e-3}
+    pattern = Finding("model-lacks", "warning", values)
+    by_chance = replace(found, result=replace(found.result, findings=(pattern,)))
+    assert "1 in 100 sets of sound measurements shows one by chance" in " ".join(
+        str(by_chance).split()
+    )
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.observability.courses import Slip
+from pincal.estimation.system import FALSE_ALARM
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.model.relations import ORIGIN
@@ -56,6 +57,10 @@ _MEND = (
     "fix that first: repeat what was measured after a slip, or name the parts in a column run; "
     "until then other terms may only mimic it"
 )
+_BY_CHANCE = (
+    f"no term explains it, and 1 in {1 / FALSE_ALARM:.0f} sets of sound measurements shows one by "
+    "chance: measure again, in another order"
+)
 
 
 def explanation_lines(explanation: Explanation) -> list[str]:
@@ -78,13 +83,18 @@ def explanation_lines(explanation: Explanation) -> list[str]:
         f"fold {fold + 1} is not compared, since the other rows do not determine it: {reason}"
         for fold, reason in explanation.lost
     ]
+    return [*lines, *_verdict_lines(explanation, visible)]
+
+
+def _verdict_lines(explanation: Explanation, visible: Sequence[Candidate]) -> list[str]:
+    """Return the verdict, and what to do where residuals follow a pattern in spite of it."""
+    result = explanation.result
     sizes = {"held_out": explanation.model.held_out, "before": explanation.models[1].held_out}
-    lines.append(_VERDICTS[explanation.verdict].format(**sizes))
-    if visible and explanation.verdict == "geometry" and not result.promises:
-        lines.append(
-            "but no limit is stated while residuals follow a pattern; --terms "
-            f"{term_text(*visible[0].pair)} models it"
-        )
+    lines = [_VERDICTS[explanation.verdict].format(**sizes)]
+    follows = visible or "model-lacks" in {remark.code for remark in result.contradictions}
+    if follows and explanation.verdict == "geometry" and not result.promises:
+        ends = f"--terms {term_text(*visible[0].pair)} models it" if visible else _BY_CHANCE
+        lines.append(f"but no limit is stated while residuals follow a pattern; {ends}")
     return lines
 
 
