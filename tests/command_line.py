@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pincal.cli import main
+from pincal.cli.app import main
 
 
 @dataclass(frozen=True)

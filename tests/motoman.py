@@ -167,6 +167,7 @@ class Reference:
     """The same at rows held out, each joint giving way as a weight at the reflector turns it."""
 
 
+@cache
 def reference(side: str, seed: int) -> Reference:
     """Return SciPy's Levenberg-Marquardt fit of all displacements, from the nominal arm.
 

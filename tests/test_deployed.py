@@ -200,8 +200,11 @@ def test_an_arm_that_bends_is_found_all_over_its_workspace(tmp_path: Path) -> No
     assert min(reached, within) >= 0.99 * 200
 
 
-def test_an_arm_says_which_poses_are_found_without_near(tmp_path: Path) -> None:
-    """So many of 100 as the file itself finds; the pose of its example is one of them, to 1e-9."""
+def test_an_arm_says_which_poses_are_found_without_near(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So many as the file itself finds; the pose of its example is one of them, to 1e-9."""
+    monkeypatch.setattr("pincal.show.deployment._TRIED", 25)  # of 100
     robot = loaded("ur5")
     pincal.deploy(robot, tmp_path / "controller")
     page = (tmp_path / "controller/commanding.md").read_text()
@@ -213,8 +216,8 @@ def test_an_arm_says_which_poses_are_found_without_near(tmp_path: Path) -> None:
     poses = pincal.sample_workspace(robot, tried).tolist()
     solutions = [file["inverse"](file["pose"](*pose)) for pose in poses]
     reached = [solution.joints for solution in solutions if not solution.reason]
-    assert len(reached) == found >= 99
-    assert tried == 100
+    assert len(reached) == found >= 24
+    assert tried == 25
     assert sum(not file["beyond_limits"](joints) for joints in reached) == within
     shown = re.findall(r"T = pose\((.*)\)  #", page)[0].split(", ")
     T = file["pose"](*map(float, shown))

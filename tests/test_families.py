@@ -117,7 +117,8 @@ def test_clean_measurements_give_all_parameters(name: str) -> None:
     mechanism = nominal(name)
     truth = pincal.disturb(mechanism, 2e-3, seed=1)
     data = pincal.simulate(mechanism, truth, pincal.Plan(poses_of(name).copy()), EXACT).measurements
-    result = pincal.calibrate(mechanism, data, method="per-leg")
+    noise = pincal.Noise(1e-4, 1e-4, 1e-5)
+    result = pincal.calibrate(mechanism, data, noise=noise, method="per-leg")
     assert result.converged
     for leg in truth.legs:
         found = result.identified.leg(leg.name).nominal

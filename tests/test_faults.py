@@ -320,7 +320,7 @@ def test_ctrl_c_is_quiet_from_the_start(begin: str) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "mechanisms",
+        "check 5R",
         pytest.param("calibrate 5R {}/data.csv -o result 2>&1", marks=pytest.mark.slow),
         pytest.param("--help", marks=pytest.mark.slow),
     ],

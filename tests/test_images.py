@@ -47,6 +47,7 @@ def test_arrows_lead_from_what_was_seen_to_what_is_predicted(made: dict[str, Any
     assert any("px of residual" in text.get_text() for text in axes.texts)
 
 
+@pytest.mark.slow
 def test_points_are_listed_in_pixels_and_at_their_distance(made: dict[str, Any]) -> None:
     """Root mean squares and medians of what each is off, the worst first; all of a camera above."""
     result = made["result"]

@@ -159,7 +159,7 @@ def test_white_rows_weigh_what_was_measured(kind: str) -> None:
 def test_clean_full_poses_recover_the_parameters(kind: str) -> None:
     """Disturbed by 5e-3, parameters come back to 1e-9, exact readings or noisy ones said."""
     mechanism, truth, data = machine(kind, noise=EXACT, sigma=5e-3)
-    for noise in (None, pincal.Noise(1e-4, 1e-4, 5e-5)):
+    for noise in (pincal.Noise(1e-4, 1e-4), pincal.Noise(1e-4, 1e-4, 5e-5)):
         result = pincal.calibrate(mechanism, data, noise=noise)
         assert result.converged
         assert error(result, truth) < 1e-9
@@ -201,7 +201,7 @@ def test_missing_readings_are_left_out() -> None:
     """Rows of full poses without some readings serve the other legs, and do no harm."""
     mechanism, truth, data = machine("3RRR", 50, noise=EXACT)
     data = put(data, "readings", np.s_[:12, 1], np.nan)
-    result = pincal.calibrate(mechanism, data)
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
     assert error(result, truth) < 1e-9
     assert [leg.n_residuals for leg in result.legs] == [len(data), len(data) - 12, len(data)]
     with pytest.raises(

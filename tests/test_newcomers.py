@@ -14,10 +14,7 @@ from measured import machine
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal import compute_workspace
-from pincal.show.charts import workspace_figure
 from pincal.show.tables import outside_table, parameters_table
-from pincal.workspace.grid import Axis, default_grid
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
 
@@ -90,20 +87,6 @@ def test_print_of_a_parameter_is_a_line_of_words() -> None:
     line = rf"leg_1\.L: {number} ± {number} mm \(95 %\), nominal 1500\.000 mm"
     assert re.fullmatch(line, str(result["leg_1.L"]))
     assert str(result["leg_1.k"]) == "leg_1.k: 1.000000, fixed, nominal 1.000000"
-
-
-def test_a_small_workspace_fills_its_picture() -> None:
-    """Base points far outside are left out, and that is said; those near are drawn."""
-    for name, reach, bases in (("3RRR", 0.03, False), ("5R", 0.4, True)):
-        mechanism = pincal.load_mechanism(name)
-        axes = [Axis.parse(f"{axis}={-reach}:{reach}:{reach / 8}") for axis in "xy"]
-        grid = default_grid(mechanism, axes)
-        figure = workspace_figure(compute_workspace(mechanism, "reachable", grid))
-        left, right = figure.axes[0].get_xlim()
-        points = [leg.joints[0].placement.xyz[0] for leg in mechanism.legs]
-        assert (left < min(points) < max(points) < right) == bases
-        assert right - left < 4.0 * reach
-        assert ("base points lie outside" in figure.get_suptitle()) is not bases
 
 
 def test_a_folder_to_import_is_asked_about(tmp_path: Path) -> None:

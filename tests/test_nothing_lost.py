@@ -378,7 +378,7 @@ def test_calibrate_keeps_what_lies_in_the_result(tmp_path: Path) -> None:
         "import mech/leg_1.urdf --tip tip -o mech/leg_1.urdf",
         "export mech --original mech/leg_1.urdf -o mech/leg_1.urdf",
         "view 5R poses.csv -o poses.csv",
-        "workspace 5R --count 5 -o out.csv --picture out.csv",
+        "select 5R --count 12 --candidates poses.csv -o plan.csv --sheet poses.csv",
     ],
 )
 def test_inputs_are_not_replaced(
@@ -474,7 +474,7 @@ def test_outputs_that_belong_together_fail_together(tmp_path: Path) -> None:
     "line",
     [
         "simulate 5R poses.csv -o out/data.csv --truth out --disturb 0.001",
-        "workspace 5R --count 5 -o out.svg --picture ./out.svg --kind reachable",
+        "select 5R --count 12 --candidates poses.csv -o plan.csv --sheet ./plan.csv",
     ],
 )
 def test_outputs_of_one_command_have_places_of_their_own(

@@ -18,8 +18,7 @@ import pytest
 from matplotlib.image import imread
 
 import pincal
-from pincal.cli import main
-from pincal.cli.app import app
+from pincal.cli.app import app, main
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

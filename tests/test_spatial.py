@@ -273,7 +273,8 @@ def test_clean_data_recover_all_48_parameters(
     """6 legs of 8 parameters disturbed by 5e-3 come back to 1e-9."""
     truth = pincal.disturb(hexapod, 5e-3, seed=1)
     data = pincal.simulate(hexapod, truth, selection.plan, EXACT).measurements
-    result = pincal.calibrate(hexapod, data, method=method)  # type: ignore[arg-type]
+    noise = pincal.Noise(1e-4, 1e-4, 1e-5)
+    result = pincal.calibrate(hexapod, data, noise=noise, method=method)  # type: ignore[arg-type]
     assert result.converged
     for found, true in zip(result.legs, truth.legs, strict=True):
         assert np.abs(found.identified - true.nominal).max() < 1e-9

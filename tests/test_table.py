@@ -19,11 +19,11 @@ from pincal import FileError, MeasurementError, PincalError
 from pincal.files.columns import reading_columns
 from pincal.files.measurements import read_readings
 from pincal.files.table import read_table, write_table
-from pincal.files.text import LARGEST
 
 Array = NDArray[np.float64]
 KINDS = {name: pincal.load_mechanism(name) for name in ("3RRR", "5R")}
 THREE = KINDS["3RRR"]
+LARGEST = 1e12  # that a number in a file may be
 FINITE = st.floats(-LARGEST, LARGEST)
 HEADER = "x [m],y [m],phi [rad],leg_1 [rad],leg_2 [rad],leg_3 [rad]"
 

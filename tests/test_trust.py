@@ -58,12 +58,9 @@ def test_held_out_rows_miss_as_expected(method: str, known: bool) -> None:
 def test_few_rows_to_verify_with_are_not_judged_too_sharply(*, known: bool) -> None:
     """Of 60 sound sets of 15 rows, and 5 that no fit has seen, 2 have p < 0.01 at most."""
     mechanism, noise = pincal.load_mechanism("3RRR"), pincal.Noise(1e-4, 1e-4, 1e-5)
-    chances = []
+    chances, poses = [], workspace("3RRR", 60 * 20)
     for seed in range(60):
-        truth, plan = (
-            pincal.disturb(mechanism, None, seed),
-            pincal.Plan(workspace("3RRR", 20, seed)),
-        )
+        truth, plan = pincal.disturb(mechanism, None, seed), pincal.Plan(poses[seed::60])
         data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
         data = replace(data, sets=("",) * (len(data) - 5) + ("verify",) * 5)
         found = validated(mechanism, data, noise=noise if known else None)

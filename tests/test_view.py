@@ -17,6 +17,7 @@ import threading
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import urlopen
 
@@ -28,7 +29,6 @@ from neighbours import skeleton
 
 import pincal
 from pincal.show.view.bodies import Body, body
-from pincal.show.view.page import answer
 from pincal.show.view.scene import moved, scene
 
 MECHANISMS = ["5R", "3RRR", "6UPS", "4cable"]
@@ -455,6 +455,15 @@ def test_a_page_has_the_ending_of_one(tmp_path: Path) -> None:
     assert contents(tmp_path) == {}
 
 
+def moved_by(mechanism: pincal.Mechanism, plan: pincal.Plan, by: np.ndarray) -> dict[str, Any]:
+    """Return what the server of a view says off its first pose, by readings and a shift."""
+    view = pincal.view(mechanism, plan)
+    with urlopen(f"{view.url}moved?row=0&by={','.join(map(repr, by.tolist()))}") as answered:
+        said: dict[str, Any] = json.loads(answered.read())
+    view.close()
+    return said
+
+
 def test_an_arm_is_carried_by_its_tool() -> None:
     """A UR5 goes along with the pointer, turned as it was; the page is told by which readings.
 
@@ -468,18 +477,17 @@ def test_an_arm_is_carried_by_its_tool() -> None:
     end = moved(shown, 0, np.concatenate((turned, along))).body.platform[0]
     np.testing.assert_allclose(end[:3, 3] - begin[:3, 3], along, atol=1e-9)
     np.testing.assert_allclose(end[:3, :3], begin[:3, :3], atol=1e-9)
-    by = np.array(json.loads(answer(shown, 0, np.concatenate((turned, along))))["by"])
+    by = np.array(moved_by(arm, plan, np.concatenate((turned, along)))["by"])
     driven = pincal.forward(arm, readings + by).poses
     np.testing.assert_allclose(driven[0, :3], end[:3, 3], atol=1e-9)
-    far = json.loads(answer(shown, 0, np.concatenate((turned, [9.0, 0.0, 0.0]))))
-    assert far["problem"]
+    assert moved_by(arm, plan, np.concatenate((turned, [9.0, 0.0, 0.0])))["problem"]
 
 
 def test_an_arm_of_five_joints_is_carried_by_its_tool() -> None:
     """Its tool goes along with the pointer to 0.1 mm; it turns, as it must, and no farther."""
     arm, along = loaded("so100"), np.array([0.01, -0.005, 0.01])
     plan = pincal.sample_configurations(arm, 1, seed=3)
-    answered = json.loads(answer(scene(arm, plan), 0, np.concatenate((np.zeros(5), along))))
+    answered = moved_by(arm, plan, np.concatenate((np.zeros(5), along)))
     driven = pincal.forward(arm, plan.readings + np.array(answered["by"])).poses
     twist = arm.platform.twists_between(plan.poses, driven)[0]
     np.testing.assert_allclose(twist[:3], along, atol=1e-4)

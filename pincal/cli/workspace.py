@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,11 +13,9 @@ from pincal import Grid, Margins, Mechanism, Orientations, Workspace, WorkspaceE
 from pincal.cli.app import command, remark, stdout, working, wrote
 from pincal.cli.options import FORCE, SEED, Mech, output_option, refuse_options
 from pincal.files.columns import columns_of
-from pincal.files.output import refuse_existing_of, writing_together
+from pincal.files.output import refuse_existing
 from pincal.files.table import write_table
 from pincal.option import option
-from pincal.show.charts import workspace_figure
-from pincal.show.style import picture_path, save_figure
 from pincal.show.tables import workspace_table
 from pincal.words.numbers import WRITTEN
 from pincal.workspace.criteria import refuse_readings
@@ -26,7 +23,7 @@ from pincal.workspace.grid import POSITION_AXES, Axis, closer_grid, default_grid
 from pincal.workspace.region import KINDS
 
 #: Options that samples of poses do not have; of regions that is the number of poses.
-_OF_REGIONS = ("axis", "symmetry", "connected", "picture")
+_OF_REGIONS = ("axis", "symmetry", "connected")
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,6 @@ class WorkspaceOptions:
     )
     symmetry: bool = option(True, "Compute every position instead of a fundamental domain.")
     connected: bool = option(False, "Keep only the connected part nearest to home.")
-    picture: Path | None = option(None, "Draw the workspace.", metavar="FILE.svg|png|pdf")
     force: bool = option(False, FORCE)
 
 
@@ -76,13 +72,12 @@ def workspace(
     refuse_options(options, foreign, f"--kind {options.kind}")
     if not options.margins and margins != Margins():
         raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
-    outputs = [output] if options.picture is None else [output, picture_path(options.picture)]
-    refuse_existing_of([(path, ()) for path in outputs], force=options.force)
+    refuse_existing(output, force=options.force)
     least = margins if options.margins else Margins.none()
     mechanism = pincal.load_mechanism(mech)
     if options.kind != "poses":
         refuse_readings(mechanism)
-        _region(mechanism, outputs, options, least)
+        _region(mechanism, output, options, least)
         return
     with working("sampling the workspace", options.count) as done:
         plan = pincal.sample_configurations(mechanism, options.count, options.seed, least, done)
@@ -94,10 +89,8 @@ def workspace(
     wrote(output)
 
 
-def _region(
-    mechanism: Mechanism, outputs: Sequence[Path], options: WorkspaceOptions, least: Margins
-) -> None:
-    """Write the positions of a workspace, with its picture, and print what it is."""
+def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions, least: Margins) -> None:
+    """Write the positions of a workspace, and print what it is."""
     axes = [Axis.parse(text) for text in options.axis]
     places = [axis for axis in axes if axis.name in POSITION_AXES]
     turns = [axis for axis in axes if axis not in places]
@@ -120,10 +113,6 @@ def _region(
     closer = closer_grid(region.asked, region.inside, [axis.name for axis in places])
     if closer is not None:
         region = compute(closer, "closer around what counts")
-    files = [(path, ()) for path in outputs]
-    with writing_together(files, force=options.force) as (table, *pictures):
-        region.save(table)
-        for picture in pictures:
-            save_figure(workspace_figure(region), picture)
+    region.save(output, force=options.force)
     stdout.print(workspace_table(region))
-    wrote(*outputs)
+    wrote(output)

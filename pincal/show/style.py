@@ -34,8 +34,6 @@ ACTIVE = "#d95e03"
 NOMINAL, IDENTIFIED = "#909090", "#4402fc"
 #: Rows that do not fit.
 OUTLIER = "#c8091c"
-#: Positions of a fundamental domain, and those that follow from it.
-DOMAIN, CARRIED = "#520856", "#d8c3da"
 GROUND = "#d4d4d4"
 #: Lengths, angles, axes and their names in drawings; poses for every leg.
 DIMENSION = EVERY = "#222222"
@@ -53,8 +51,6 @@ DARK = {
     NOMINAL: "#707070",
     IDENTIFIED: "#9983f9",
     OUTLIER: "#fa7399",
-    DOMAIN: "#3fc3b0",
-    CARRIED: "#2f5b55",
     GROUND: "#3c4148",
     DIMENSION: "#e8e8e8",
 }

@@ -155,10 +155,8 @@ class Workspace:
     """The positions asked, that ``inside`` is about."""
     inside: Mask
     """Which positions count, by number, shape (n_asked,); not writable."""
-    elements: dict[Element, Carrier]
-    """Elements of the mechanism's group that were used, and what they do to numbers of positions.
-
-    The identity is first."""
+    elements: tuple[Element, ...]
+    """Elements of the mechanism's group that were used, the identity first."""
     unused: tuple[Element, ...]
     """Elements that do not map positions or orientations onto themselves, or were not wanted."""
     computed: int
@@ -304,7 +302,7 @@ def compute_workspace(
     if computing.connected and inside.any():
         inside = part_around(grid, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
-    return Workspace(kind, test, grid, inside, elements, unused, computed)
+    return Workspace(kind, test, grid, inside, tuple(elements), unused, computed)
 
 
 def _orientations(

@@ -159,8 +159,7 @@ def scene(
     plan = poses if isinstance(poses, Plan) else Plan(mechanism.platform.coordinates_of(poses))
     if not 0 < len(plan.poses) <= MOST_POSES:
         raise MeasurementError(
-            f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}. Many positions "
-            "are better seen in a picture of the workspace (pincal workspace --picture)"
+            f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}"
         )
     if not np.isfinite(plan.poses).all():
         raise MeasurementError(
