@@ -69,15 +69,25 @@ def test_rows_are_made_once_and_go_on_where_they_ended(tmp_path: Path) -> None:
 
 
 def test_what_is_wrong_with_a_file_is_said_of_it(tmp_path: Path) -> None:
-    """A folder among tables, a file in a folder's place, a plan that is not there: exit code 2."""
-    (tmp_path / "line" / "a.csv").mkdir(parents=True)
-    outcome = run("batch", "5R", tmp_path / "line", "-o", tmp_path / "t.csv")
+    """A folder among tables, a setup or plan that is not there: exit code 2, nothing written."""
+    machine, table = tmp_path / "line" / "a.csv", tmp_path / "t.csv"
+    machine.mkdir(parents=True)
+    outcome = run("batch", "5R", tmp_path / "line", "-o", table)
     assert outcome.code == 2
-    assert outcome.trouble == f"pincal: {tmp_path / 'line' / 'a.csv'}: Is a directory"
+    assert outcome.trouble == f"pincal: {machine}: Is a directory"
+    machine.rmdir()
+    machine.write_text("x [mm]\n1\n", encoding="utf-8")
+    typed = ("batch", "5R", tmp_path / "line", "--workers", 1, "-o", table)
+    for missing in ("--setup", "--pairs"):
+        outcome = run(*typed, missing, tmp_path / "no", "--results", tmp_path / "results")
+        assert outcome.code == 2
+        assert (
+            outcome.trouble == f"pincal: cannot read {tmp_path / 'no'}: No such file or directory"
+        )
     absent = run("montecarlo", "5R", tmp_path / "plan.csv", "-o", tmp_path / "t.csv")
     assert absent.code == 2
     assert "calibrating" not in absent.err
-    assert not (tmp_path / "t.csv").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["line"]
 
 
 def test_a_study_says_first_what_calibrated_machines_reach(plan: Path, tmp_path: Path) -> None:

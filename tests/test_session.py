@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arms import loaded
 from bench import NOISE, Bench
 from command_line import done, run
 
@@ -167,6 +168,20 @@ def test_slip_of_ten_sigma_is_off_and_can_be_kept(begun: Session) -> None:
         assert begun.doubtful[1] == pytest.approx(checked.sigma, rel=0.02)
         begun.undo()
     assert begun.doubtful is None
+
+
+def test_rows_that_no_other_confirms_are_not_doubted(tmp_path: Path) -> None:
+    """Three positions in an unknown frame are just enough for it: rounding contradicts none."""
+    arm, setup = loaded("ur5"), pincal.Setup(unknown_frame=True)
+    poses = pincal.sample_configurations(arm, 300, 5).rows(np.array([148, 87, 237, 75]))
+    options = SessionOptions(noise=NOISE, setup=setup, measured=("x", "y", "z"))
+    for seed in range(3, 7):
+        machine = Bench(arm, poses, setup, seed)
+        opened = Session(tmp_path / str(seed), arm, machine.plan, options)
+        for _ in range(4):
+            row, _ = opened.next_pose()
+            assert not opened.add(machine.entry(opened.columns, row)).off
+            assert opened.doubtful is None
 
 
 def test_session_goes_on_as_it_was_left(tmp_path: Path) -> None:

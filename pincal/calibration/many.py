@@ -136,7 +136,6 @@ def _without_rows(make_row: Callable[..., Row], items: Sequence[Item], file: Row
     """Return items without a row; one of the others is made again, and must be as it is there."""
     columns, keys = file.read(), file.columns[: len(items[0])]
     places = _places(columns, keys)
-    file.add([])
     if done := [item for item in items if item in places][:1]:
         (row,), place = _rows_of(make_row, keys, done), places[done[0]]
         pairs = [(row[name], values[place]) for name, values in columns.items() if name in row]

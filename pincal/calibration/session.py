@@ -61,6 +61,7 @@ ENOUGH = 0.95
 _LARGEST = 3.0  # standard deviations that the largest changes of machines are
 _CAUSES = 3  # that are named, at most
 _SEEN = 1e-6  # share of a slip's square that a residual shows, at least
+_CONFIRMED = 1e-8  # share of the variance of a row's residuals that all others predict, at least
 _LEAST = float(np.finfo(float).tiny)  # of chances that can be held
 _NEARLY = 1e-4  # of a row's χ²: what is left where a number was rounded as it was typed
 
@@ -393,11 +394,14 @@ def _doubtful(fits: Fits) -> tuple[int, float] | None:
     """Return the row that is farthest off what all others predict, and by how many σ; or None.
 
     Of residuals r and orthonormal columns Q, a fit without a row leaves it (1 − Q Qᵀ)⁻¹ r, which
-    is its covariance, too.
+    is its covariance, too. What no other row says has residuals of nothing but rounding, and counts
+    as hardly predicted.
     """
     fit = fits.fits[0]
     rows, r = np.flatnonzero(fit.good), fit.last.residuals[fit.good]
-    S = np.asarray(np.linalg.inv(np.eye(r.shape[1]) - fit.Q @ fit.Q.mT), dtype=float)
+    S = np.asarray(
+        np.linalg.inv((1.0 + _CONFIRMED) * np.eye(r.shape[1]) - fit.Q @ fit.Q.mT), dtype=float
+    )
     _, sigmas, chances, *_ = _judged((S @ r[:, :, None])[:, :, 0], S, fit.last, rows)
     worst = int(chances.argmin())
     if chances[worst] * len(rows) >= FALSE_ALARM:

@@ -131,6 +131,7 @@ def _row(
     """Return the row of a file, by its name in a folder."""
     result, *_ = run(known.calibration(mech, folder / file[0], options), options.folds, running.by)
     if running.results is not None:
+        running.results.mkdir(parents=True, exist_ok=True)
         result.save(running.results / Path(file[0]).stem, force=True)
     over = running.workspace
     poses = None if over is None else read_poses(over, result.nominal)
@@ -160,8 +161,6 @@ def batch(
     if not (files := [path for path in files if path.resolve() != output.resolve()]):
         raise FileError(f"{folder} has no tables; expected a .csv or .xlsx of each machine")
     items = [(path.name, sha256(path.read_bytes()).hexdigest()[:12]) for path in files]
-    if running.results is not None:
-        running.results.mkdir(parents=True, exist_ok=True)
     make_row = partial(_row, mech, folder, options, known, running)
     with _growing(output) as progress:
         file = RowFile(output, row_columns(mechanism))
