@@ -15,6 +15,7 @@ import pytest
 from arms import loaded
 from command_line import done
 from deployed import in_c, in_python
+from linuxcnc import MODULES, LinuxcncKinematics
 from marks import quick
 from measured import seen_from_elsewhere, workspace
 from neighbours import coupled_five_bar, four_bar
@@ -240,25 +241,69 @@ def test_terms_that_no_file_can_hold_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "controller").exists()
 
 
+def laws(text: str) -> np.ndarray:
+    """Return what joints are by HAL lines: at reading 0, and by reading, shape (N, 2)."""
+    lines = re.findall(r"^# joint \d \[\w+\] = (\S+) \+ (\S+) × reading", text, re.MULTILINE)
+    return np.array(lines, dtype=float)
+
+
 def test_joint_centres_are_those_that_genhexkins_asks_for() -> None:
     """Strut lengths by centres of the HAL lines: what the readings of poses say, to 1e-9 m."""
     robot = pincal.disturb(pincal.load_mechanism("6UPS"), 1e-3, seed=1)
-    lines = genhexkins(robot).splitlines()
-    pins = dict(line.split()[1:] for line in lines if line.startswith("setp genhexkins."))
-    lengths = [re.match(r"# joint \d \[mm\] = (\S+) \+ (\S+) ×", line) for line in lines]
-    laws = np.array([[float(value) for value in found.groups()] for found in lengths if found])
-    poses = workspace("6UPS", 20)
+    text, poses = genhexkins(robot), workspace("6UPS", 20)
+    pins = dict(line.split()[1:] for line in text.splitlines() if line.startswith("setp "))
     T, readings = robot.platform.matrices(poses), pincal.inverse(robot, poses).readings
 
     def centre(owner: str, strut: int) -> np.ndarray:
         return np.array([float(pins[f"genhexkins.{owner}.{strut}.{axis}"]) for axis in "xyz"])
 
-    for strut, (zero, slope) in enumerate(laws):
+    for strut, (zero, slope) in enumerate(laws(text)):
         tips = T[:, :3, :3] @ centre("platform", strut) + 1e3 * T[:, :3, 3]
         length = np.linalg.norm(tips - centre("base", strut), axis=1)
         np.testing.assert_allclose(length, zero + slope * 1e3 * readings[:, strut], atol=1e-6)
     with pytest.raises(pincal.MechanismError, match="no hexapod"):
         genhexkins(pincal.load_mechanism("6RUS"))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not MODULES.is_dir(), reason="no LinuxCNC (LINUXCNC_MODULES)")
+@pytest.mark.parametrize("name", ["6UPS", "delta", "linear_delta"])
+def test_linuxcnc_itself_drives_to_the_readings(name: str) -> None:
+    """Its own modules give pincal's readings and poses to 1e-6 mm or deg, set up by HAL lines.
+
+    A hexapod with errors, and deltas as drawn, which are all that these modules can hold.
+    """
+    robot, poses = pincal.load_mechanism(name), workspace(name, 200)
+    if name == "6UPS":
+        robot = pincal.disturb(robot, 1e-3, seed=1)
+    T = robot.platform.matrices(poses)
+    text = genhexkins(robot) if name == "6UPS" else deltakins(robot, poses)
+    kind = "genhexkins" if name == "6UPS" else text.split()[1]
+    commands, legs = placed(text, T), in_order(text, robot)
+    kinematics = LinuxcncKinematics(kind, text)
+    joints = np.array([kinematics.inverse(command, len(legs)) for command in commands])
+    unit = np.radians(1.0) if kind == "rotarydeltakins" else 1e-3
+    readings = pincal.inverse(robot, poses).readings[:, legs] / unit
+    zeros, slopes = laws(text).T
+    np.testing.assert_allclose(joints, zeros + slopes * readings, rtol=0.0, atol=1e-6)
+    pairs = zip(commands, joints, strict=True)
+    poses = np.array([kinematics.forward(driven, command + 0.1) for command, driven in pairs])
+    missed = np.abs(poses - commands)[:, : len(legs)]
+    assert np.isnan(missed).any(axis=1).mean() <= 0.01  # where its Newton iteration does not end
+    assert np.nanmax(missed) < 1e-6
+
+
+def placed(text: str, T: np.ndarray) -> np.ndarray:
+    """Return X Y Z A B C [mm], [deg] of poses in the work offset of HAL lines, shape (N, 6)."""
+    offset = re.findall(r" [XYZR](-?[\d.]+)", text.splitlines()[-1]) or [0.0] * 4
+    X, Y, Z, R = map(float, offset)
+    xyz = Rotation.from_euler("z", R, degrees=True).apply(1e3 * T[:, :3, 3]) + np.array([X, Y, Z])
+    return np.hstack((xyz, Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz", degrees=True)))
+
+
+def in_order(text: str, robot: pincal.Mechanism) -> list[int]:
+    """Return places of the legs that HAL lines name, in the order of joints."""
+    return [robot.leg_names.index(leg) for leg in re.findall(r"reading of (\w+)", text)]
 
 
 def linuxcnc(kind: str, pins: dict[str, float], xyz: np.ndarray) -> list[float]:
@@ -268,8 +313,7 @@ def linuxcnc(kind: str, pins: dict[str, float], xyz: np.ndarray) -> list[float]:
     for turn in (0.0, -2.0 * np.pi / 3.0, 2.0 * np.pi / 3.0):
         u, v = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)
         if kind == "lineardeltakins":
-            off = pins[f"J{len(joints)}off"]
-            joints.append(z + np.sqrt(pins["L"] ** 2 - u**2 - (pins["R"] - v) ** 2) + off)
+            joints.append(z + np.sqrt(pins["L"] ** 2 - u**2 - (pins["R"] - v) ** 2))
             continue
         hip, thigh, shin, foot = (
             pins[n] for n in ("platformradius", "thighlength", "shinlength", "footradius")
@@ -290,15 +334,12 @@ def test_deltas_are_those_that_linuxcnc_has_kinematics_for(name: str, tmp_path: 
         text = deltakins(robot, poses)
         kind = text.split()[1]
         pins = {k: float(v) for k, v in re.findall(rf"setp {kind}\.(\w+) (\S+)", text)}
-        laws = np.array(re.findall(r"joint \d \[\w+\] = (\S+) \+ (\S+) ×", text), dtype=float)
-        legs = [robot.leg_names.index(leg) for leg in re.findall(r"reading of (\w+)", text)]
-        X, Y, Z, R = (float(v) for v in re.findall(r" [XYZR](-?[\d.]+)", text.splitlines()[-1]))
-        turn = Rotation.from_euler("z", R, degrees=True)
-        placed = turn.apply(1e3 * poses) + np.array([X, Y, Z])
-        joints = np.array([linuxcnc(kind, pins, xyz) for xyz in placed])
+        commands = placed(text, robot.platform.matrices(poses))
+        joints = np.array([linuxcnc(kind, pins, command[:3]) for command in commands])
         unit = 1e-3 if kind == "lineardeltakins" else np.radians(1.0)
         readings = np.empty_like(joints)
-        readings[:, legs] = unit * (joints - laws[:, 0]) / laws[:, 1]
+        zeros, slopes = laws(text).T
+        readings[:, in_order(text, robot)] = unit * (joints - zeros) / slopes
         if robot is drawn:
             exact = pincal.inverse(robot, poses).readings
             np.testing.assert_allclose(readings / unit, exact / unit, atol=1e-6)

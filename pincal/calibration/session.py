@@ -394,14 +394,12 @@ def _doubtful(fits: Fits) -> tuple[int, float] | None:
     """Return the row that is farthest off what all others predict, and by how many σ; or None.
 
     Of residuals r and orthonormal columns Q, a fit without a row leaves it (1 − Q Qᵀ)⁻¹ r, which
-    is its covariance, too. What no other row says has residuals of nothing but rounding, and counts
-    as hardly predicted.
+    is its covariance, too; where no other row says anything, r is rounding, and S has a bound.
     """
     fit = fits.fits[0]
     rows, r = np.flatnonzero(fit.good), fit.last.residuals[fit.good]
-    S = np.asarray(
-        np.linalg.inv((1.0 + _CONFIRMED) * np.eye(r.shape[1]) - fit.Q @ fit.Q.mT), dtype=float
-    )
+    unpredicted = (1.0 + _CONFIRMED) * np.eye(r.shape[1]) - fit.Q @ fit.Q.mT
+    S = np.asarray(np.linalg.inv(unpredicted), dtype=float)
     _, sigmas, chances, *_ = _judged((S @ r[:, :, None])[:, :, 0], S, fit.last, rows)
     worst = int(chances.argmin())
     if chances[worst] * len(rows) >= FALSE_ALARM:

@@ -235,14 +235,13 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
         raise MechanismError(f"{mechanism.name!r} is {_NO_DELTA}")
     (x, y, z, turn), zeros, lengths = np.split(fitted, [4, 7])
     values = dict(zip(("R", "L"), lengths, strict=False))
-    values |= {f"J{joint}off": -zero for joint, zero in enumerate(zeros)}
-    unit, scale = "mm", 1e3
+    start, unit, scale = start + signs * zeros, "mm", 1e3
     if turning:
         point = LegClosure(legs[0], mechanism.platform).targets(np.eye(4)[None])[0]
         foot = float(np.hypot(*point[:2]))
         values = {"platformradius": lengths[0] + foot, "thighlength": lengths[2]}
         values |= {"shinlength": lengths[1], "footradius": foot}
-        start, unit, scale = start + signs * zeros, "deg", np.degrees(1.0)
+        unit, scale = "deg", np.degrees(1.0)
     c, s = np.cos(turn), np.sin(turn)
     origin = -1e3 * np.array([c * x + s * y, c * y - s * x, z * turning])
     usual, largest = 1e3 * np.quantile(missed, 0.95), 1e3 * missed.max()
