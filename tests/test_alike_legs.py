@@ -25,7 +25,7 @@ FORMS = {"5R": 1, "3RRR": 1, "3RPR": 1, "3PRR": 2, "6UPS": 1, "6RUS": 1, "8cable
 def test_alike_legs_demand_what_each_alone_does(name: str) -> None:
     """Values, derivatives and joints; at noisy readings of another one."""
     robot = pincal.load_mechanism(name)
-    truth, poses = pincal.disturb(robot, 2e-3, seed=4), workspace(name, 7, 1)
+    truth, poses = pincal.disturb(robot, 2e-3, seed=4), workspace(name, 7)
     noise = pincal.Noise(1e-3, 1e-3, 1e-3)
     data = pincal.simulate(robot, truth, pincal.Plan(poses), noise, 5).measurements
     calibration, rows = Calibration(robot, data), np.arange(len(data))
@@ -106,7 +106,7 @@ def test_alike_legs_close_as_each_alone_does(name: str) -> None:
     """Joints, reach and derivatives; also where some legs reach a pose and others do not."""
     robot = pincal.load_mechanism(name)
     rng, size = np.random.default_rng(8), max(leg.size for leg in robot.legs)
-    near = workspace(name, 20, 1)
+    near = workspace(name, 20)
     shift = np.where(np.array(robot.platform.units) == "m", 0.4 * size, 0.3)
     poses = np.concatenate((near, near + shift * rng.standard_normal(near.shape)))
     matrices = robot.platform.matrices(poses)

@@ -73,7 +73,7 @@ def plan_of(mechanism: pincal.Mechanism, count: int) -> pincal.Plan:
     """Return configurations to be measured, and temperatures."""
     draw = np.random.default_rng(1)
     if not mechanism.by_readings:
-        poses = workspace(mechanism.name, count, 1)
+        poses = workspace(mechanism.name, count)
         return pincal.Plan(poses, influences={"temperature": draw.uniform(15, 35, len(poses))})
     readings = draw.uniform(-1.2, 1.2, (count, len(mechanism.reading_names)))
     poses = pincal.forward(mechanism.drawing, readings).poses
@@ -360,7 +360,7 @@ def test_a_load_turns_over_with_its_joint() -> None:
 
     machine = replace(plain, legs=tuple(map(turned, plain.legs)), load=LOAD)
     other = replace(machine, legs=tuple(map(canonical, machine.legs)))
-    poses = workspace(plain.name, 4, 1)
+    poses = workspace(plain.name, 4)
     there, again = (pincal.inverse(one, poses).readings for one in (machine, other))
     np.testing.assert_allclose(again, there, atol=1e-11)
     assert np.abs(there - pincal.inverse(machine.at_reference, poses).readings).max() > 1e-4

@@ -455,7 +455,7 @@ def test_very_many_rows(count: int, tmp_path: Path) -> None:
 def test_one_pose_said_in_several_ways_is_chosen_once(name: str, protocol: Any) -> None:
     """Candidates again a whole turn on, with the tilt reversed, and off in the last digit."""
     mechanism = pincal.load_mechanism(name)
-    first = workspace(name, 60, seed=1)
+    first = workspace(name, 60)
     turned, near = first.copy(), first + 1e-14
     turned[:, -1] += 2 * np.pi
     if name == "6UPS":
@@ -482,7 +482,7 @@ def test_noise_that_no_arithmetic_bears_is_refused(sigma: float) -> None:
 def test_noise_of_rows_that_no_arithmetic_bears_is_refused() -> None:
     """A standard deviation of a row whose square underflows is refused by its row."""
     mechanism = pincal.load_mechanism("5R")
-    poses = workspace("5R", 24, seed=1)
+    poses = workspace("5R", 24)
     sigmas = np.full(poses.shape, 1e-5)
     sigmas[6, 1] = 1e-200
     data = Measurements(
@@ -498,7 +498,7 @@ def test_noise_of_rows_that_no_arithmetic_bears_is_refused() -> None:
 def test_noise_at_its_limits_is_borne(noise: Noise, method: Any) -> None:
     """The least standard deviations have an answer, huge ones an error that says why."""
     mechanism = pincal.load_mechanism("5R")
-    poses = workspace("5R", 24, seed=1)
+    poses = workspace("5R", 24)
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), Noise(1e-6, 1e-6)).measurements
     if noise.position > 1.0:
         with pytest.raises(pincal.MeasurementError, match="more than 2 % of a leg's length"):

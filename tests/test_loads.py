@@ -66,7 +66,7 @@ def test_loads_are_what_the_height_loses_with_each_reading(name: str) -> None:
         readings = home_of(machine).readings + np.linspace(-0.02, 0.02, 12).reshape(4, 3)
         poses = pincal.forward(machine, readings).poses
     else:
-        poses = workspace(name, 4, 1)
+        poses = workspace(name, 4)
         readings = pincal.inverse(machine, poses).readings
     signs = [s.direction for leg in machine.legs for s in leg.sensors]  # of readings over joints
     found = gravity_loads(machine, readings, machine.platform.matrices(poses))

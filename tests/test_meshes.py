@@ -12,7 +12,6 @@ from command_line import run
 
 import pincal
 from pincal import free_of_collision
-from pincal.show.view.meshes import MOST_FACES, coarsen
 
 ARM = """
 j1 | revolute | 0 0 1 | 0 0 0.1
@@ -60,7 +59,7 @@ def test_a_mesh_moves_with_the_link_behind_its_joint(made: Path) -> None:
     assert "link.obj" not in view.html()
 
 
-def test_meshes_are_made_coarser_and_stay_where_they_are() -> None:
+def test_meshes_are_made_coarser_and_stay_where_they_are(made: Path) -> None:
     """A ball of 20,000 triangles becomes one of 3,000 or fewer, within a cell of the same place."""
     u, v = np.meshgrid(np.linspace(0, np.pi, 101), np.linspace(0, 2 * np.pi, 101), indexing="ij")
     corners = np.stack((np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u)), -1).reshape(-1, 3)
@@ -68,14 +67,21 @@ def test_meshes_are_made_coarser_and_stay_where_they_are() -> None:
     faces = np.concatenate(
         (np.stack((i, i + 1, i + 101), 1), np.stack((i + 1, i + 102, i + 101), 1))
     )
-    ball = trimesh.Trimesh(corners, faces, process=False)
-    coarsen(ball)
-    assert 500 < len(ball.faces) <= MOST_FACES
-    radii = np.linalg.norm(ball.vertices[ball.faces.ravel()], axis=1)
-    assert np.abs(radii - 1.0).max() < 2 / 15
-    few = trimesh.Trimesh(corners, faces[:MOST_FACES], process=False)
-    coarsen(few)
-    np.testing.assert_array_equal(few.vertices[few.faces], corners[faces[:MOST_FACES]])
+    view = pincal.view(pincal.Mechanism.from_urdf(made, "l2"))
+
+    def seen(count: int) -> np.ndarray:
+        """Return the corners of triangles, shape (n, 3, 3), of so many as they are drawn."""
+        ball = trimesh.Trimesh(corners, faces[:count], process=False)
+        ball.export(made.parent / "meshes" / "link.obj")
+        body = view.with_meshes(made).scene.body
+        (shape,) = list(body.parts.values())[body.chains[0][0]]
+        assert shape.points is not None
+        return shape.points[shape.faces] / (0.1, 0.1, 0.2)
+
+    coarse = seen(20_000)
+    assert 500 < len(coarse) <= 3000
+    assert np.abs(np.linalg.norm(coarse, axis=2) - 1.0).max() < 2 / 15
+    np.testing.assert_allclose(seen(3000), corners[faces[:3000]], atol=1e-7)
 
 
 @pytest.mark.parametrize(

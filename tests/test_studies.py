@@ -129,9 +129,10 @@ def test_two_runs_give_the_same_files(
     Byte for byte, from the same seed. Figures are not drawn again.
     """
     monkeypatch.setattr(Figure, "savefig", lambda _, path, **__: Path(path).touch())
+    monkeypatch.delitem(sys.modules, "studies.__main__")  # as in a process of its own
     monkeypatch.setattr(sys, "argv", ["studies", "6ups", "--quick", "-o", str(tmp_path / "again")])
     with pytest.raises(SystemExit) as ended:
-        runpy.run_module("studies", run_name="__main__", alter_sys=True)
+        runpy.run_module("studies", run_name="__main__")
     assert not ended.value.code
     first, again = contents(folders["6UPS"]), contents(tmp_path / "again")
     assert set(again) == set(first)

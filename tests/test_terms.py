@@ -20,9 +20,9 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import parse_terms
 from pincal.estimation.unknowns import BlockRows, State
-from pincal.finding import Finding
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import influences_of, sides
+from pincal.words.findings import finding
 
 EXACT = pincal.Noise(1e-7, 1e-7, 1e-7)
 FORMS = {
@@ -187,7 +187,7 @@ def test_a_weight_that_nobody_said_is_taken_up_by_amplitudes(tmp_path: Path) -> 
 
 def test_loads_are_those_of_the_drawing_before_and_after_calibration() -> None:
     machine = extended(pincal.load_mechanism("6UPS"), FORMS["gravity"])
-    poses = workspace(machine.name, 5, 1)
+    poses = workspace(machine.name, 5)
     readings = pincal.inverse(machine.drawing, poses).readings
     loads = influences_of(machine, pincal.Plan(poses, readings=readings))
     assert np.isnan(loads).all()  # followed from readings, where kinematics asks
@@ -319,7 +319,7 @@ def test_a_machine_at_its_reference_needs_no_influences() -> None:
     bare = machine.drawing.with_parameters(
         {p.id: p.nominal for p in machine.parameters if not p.name.startswith("a_")}
     )
-    poses = workspace(plain.name, 5, 1)
+    poses = workspace(plain.name, 5)
     np.testing.assert_array_equal(
         pincal.inverse(machine, poses).readings, pincal.inverse(bare, poses).readings
     )
@@ -397,7 +397,7 @@ def test_a_machine_without_terms_needs_none() -> None:
     assert min(one.corrected for one in found.candidates) > 0.01
     assert "by chance" not in str(found)
     values = {"term": "order", "quantity": "readings", "p_value": 2e-3}
-    pattern = Finding("model-lacks", "warning", values)
+    pattern = finding("model-lacks", **values)
     by_chance = replace(found, result=replace(found.result, findings=(pattern,)))
     assert "1 in 100 sets of sound measurements shows one by chance" in " ".join(
         str(by_chance).split()

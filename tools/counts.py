@@ -24,7 +24,7 @@ import sys
 import tarfile
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -135,33 +135,33 @@ def count(root: Path) -> Counts:
 def _count_module(tree: ast.Module, name: str, counts: Counts) -> None:
     """Add the counts of one module."""
     for node in ast.walk(tree):
+        if binding := _binding(node):
+            counts.bindings += 1
+            if (word := binding.strip("_").lower()) in VAGUE:
+                counts.vague[word] += 1
         if isinstance(node, ast.ClassDef):
             counts.classes[node.name] += 1
             counts.dataclasses += any("dataclass" in ast.unparse(d) for d in node.decorator_list)
         if isinstance(node, _FUNCTIONS):
-            place = f"{name}:{node.lineno} {node.name}"
-            if (value := complexity(node)) > MOST_COMPLEX:
+            place, within = f"{name}:{node.lineno} {node.name}", list(ast.walk(node))
+            if (value := complexity(within)) > MOST_COMPLEX:
                 counts.complex_functions.append(f"{place} ({value})")
             if (n_arguments := _argument_count(node)) > MOST_ARGUMENTS:
                 counts.long_signatures.append(f"{place} ({n_arguments})")
             counts.inner_imports += [
                 f"{name}:{inner.lineno} {inner.module}"
-                for inner in ast.walk(node)
+                for inner in within
                 if isinstance(inner, ast.ImportFrom) and str(inner.module).startswith("pincal")
             ]
-    for binding in _bindings(tree):
-        counts.bindings += 1
-        if binding.strip("_").lower() in VAGUE:
-            counts.vague[binding.strip("_").lower()] += 1
 
 
-def complexity(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Return the cyclomatic complexity of a function, inner functions included.
+def complexity(nodes: Iterable[ast.AST]) -> int:
+    """Return the cyclomatic complexity of all nodes of a function, inner functions included.
 
     Reference: T. J. McCabe, "A Complexity Measure", IEEE Trans. Software Eng. SE-2 (1976).
     """
     value = 1
-    for node in ast.walk(function):
+    for node in nodes:
         if isinstance(node, _BRANCHES):
             value += 1 + len(node.ifs) if isinstance(node, ast.comprehension) else 1
         elif isinstance(node, ast.BoolOp):
@@ -178,15 +178,13 @@ def _argument_count(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return len(names) - (names[:1] in (["self"], ["cls"]))
 
 
-def _bindings(tree: ast.Module) -> Iterator[str]:
-    """Yield the names that a module binds: variables, parameters, functions and classes."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id.strip("_"):
-            yield node.id
-        elif isinstance(node, ast.arg) and node.arg not in ("self", "cls"):
-            yield node.arg
-        elif isinstance(node, (*_FUNCTIONS, ast.ClassDef)):
-            yield node.name
+def _binding(node: ast.AST) -> str:
+    """Return the name that a node binds: a variable, parameter, function or class; or nothing."""
+    if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id.strip("_"):
+        return node.id
+    if isinstance(node, ast.arg) and node.arg not in ("self", "cls"):
+        return node.arg
+    return node.name if isinstance(node, (*_FUNCTIONS, ast.ClassDef)) else ""
 
 
 def count_revision(root: Path, revision: str) -> Counts:
