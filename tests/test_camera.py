@@ -240,6 +240,7 @@ def seen_flat() -> tuple[pincal.Measurements, pincal.CalibrationResult]:
     return data, pincal.calibrate("6UPS", data, noise=pincal.Noise(pixel=0.1), setup=_flat())
 
 
+@pytest.mark.slow
 def test_a_tolerance_does_not_make_frames_errors_of_the_machine(
     seen_flat: tuple[pincal.Measurements, pincal.CalibrationResult],
 ) -> None:
@@ -255,6 +256,7 @@ def test_a_tolerance_does_not_make_frames_errors_of_the_machine(
     assert 0.5 * free.orientation < near.orientation <= 1.001 * free.orientation
 
 
+@pytest.mark.slow
 def test_what_a_model_lacks_is_no_noise_of_sensors_before_a_camera() -> None:
     """Legs that are not modelled move the platform by 1 mm: pixels are as noisy, not readings."""
     camera, truth = _camera(), _measured(_camera(), count=1)[0]

@@ -267,7 +267,8 @@ def test_fixed_parameters_stay(method: str) -> None:
     truth = truth.with_parameters({"leg_2": {"k": 1.0}})
     plan = pincal.Plan(data.poses)
     data = pincal.simulate(mechanism, truth, plan, EXACT).measurements
-    result = pincal.calibrate(mechanism, data, method=method, fixed=("leg_2.k",), poses="all")  # type: ignore[arg-type]
+    options = {"method": method, "noise": NOISE, "poses": "all"}
+    result = pincal.calibrate(mechanism, data, fixed=("leg_2.k",), **options)  # type: ignore[arg-type]
     parameter = {p.name: p for p in result.leg("leg_2").parameters}["k"]
     assert (parameter.identified, parameter.std) == (1.0, 0.0)
     assert error(result, truth) < 1e-9
