@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_818,
+    "calibration": 6_821,
     "cli": 2_788,
     "design": 2_336,
-    "estimation": 4_692,
+    "estimation": 4_735,
     "files": 3_374,
     "formats": 3_492,
     "instruments": 1_582,

@@ -90,11 +90,17 @@ def test_what_a_model_lacks_is_no_noise_of_sensors(monkeypatch: pytest.MonkeyPat
 
 
 def test_exact_readings_of_eight_drives_leave_no_direction_open() -> None:
-    """Noise of more readings than freedoms is far below that of poses, and not zero."""
+    """Noise of more readings than freedoms is far below that of poses, and not zero.
+
+    What readings alone determine shows no noise of poses: it is no degree of freedom, of which
+    240 less six of frames are known at most. Over all 264 equations the noise is 6 % too small.
+    """
     nominal = pincal.load_mechanism("8cable")
     plan = pincal.Plan(pincal.sample_workspace(nominal, 40))
     truth = pincal.disturb(nominal, 1e-3, seed=1)
     data = pincal.simulate(nominal, truth, plan, pincal.Noise(1e-4, 1e-4, 0.0), 1).measurements
     result = pincal.calibrate(nominal, data, folds=0)
     assert result.converged
-    assert 0.0 < result.noise.reading < 1e-5 < result.noise.position < 2e-4
+    assert 0.0 < result.noise.reading < 1e-5
+    assert result.noise.position == pytest.approx(1e-4, rel=0.1)
+    assert result.degrees_of_freedom <= 6 * len(data) - 6

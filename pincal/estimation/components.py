@@ -196,6 +196,17 @@ def estimated_noise(
     return Noise(*(float(size * factor) for size, factor in zip(sizes, factors, strict=False)))
 
 
+def counted(fit: Fit, noise: Noise, unit: Noise) -> Fit:
+    """Return a fit whose readings show no noise where theirs, of that estimated, is at its floor.
+
+    The unit is noise that is assumed to be alike.
+    """
+    _, ratio = _relative(noise, unit)
+    if not noise.reading > 0.0 or ratio[_R] > (1.0 + _TIED) * _SMALLEST**2 * ratio.max():
+        return replace(fit, exact=0)
+    return replace(fit, exact=round(float(_moments(fit, noise.reading)[0][_R].sum())))
+
+
 def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
     """Return to which noise that of readings is tied if it moves what was measured much farther.
 

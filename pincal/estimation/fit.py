@@ -53,6 +53,8 @@ class Fit(SolverResult):
     """Rows that did not fit, the worst first."""
     widening: Array | float = 0.0
     """What noise and tolerances that were estimated add to the covariance, shape (n, n)."""
+    exact: int = 0
+    """Degrees of freedom of readings whose estimated noise is at its floor: they show no noise."""
 
     def at_noise_of(self, problem: Problem) -> Fit:
         """Return the fit with its problem at other noise: to first order it needs no new search."""
@@ -90,9 +92,9 @@ class Fit(SolverResult):
 
     @cached_property
     def degrees_of_freedom(self) -> int:
-        """Equations of good rows and priors, less free unknowns."""
-        n_priors = int(np.isfinite(self.unknowns.priors).sum())
-        return int(self.last.equations[self.good].sum()) + n_priors - self.unknowns.n_free
+        """Equations of good rows and priors that show noise, less free unknowns."""
+        n_priors, used = int(np.isfinite(self.unknowns.priors).sum()), self.unknowns.n_free
+        return int(self.last.equations[self.good].sum()) + n_priors - used - self.exact
 
     @cached_property
     def chi2(self) -> float:

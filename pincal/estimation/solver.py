@@ -38,6 +38,7 @@ _LONGER = 3  # times as many within a standard deviation of the optimum: in a cu
 _ASTRAY_EVALUATIONS = 100  # while the conditions are farther off than this
 _FAR = 1e6  # cost of a condition: a thousand standard deviations, no correction of a machine
 _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
+_BENT = 0.75  # of the length of a step, by which it may be bent
 _GROWTH = 4.0  # less than a good step takes off: else every other one is refused in a valley
 # How readings are adjusted:
 _CORRECTIONS = 4  # corrections of the readings in a step, at most
@@ -123,10 +124,9 @@ def search(
             deviation = np.sqrt(current.cost / len(current.weights))
             system.progress(f"step {evaluations}: {deviation:.3g} σ a pose")
         # 1. A damped step of all unknowns; then each pose alone.
-        step = current.normal.step(damping)
-        trial, count = _reached(system, current, step, fixed_poses)
+        trial, step, count = _step(system, current, damping, fixed_poses, highest)
         evaluations += count
-        if trial is not None and _better(system, current, trial, highest):
+        if trial is not None:
             # 2. Taken: less damping where the fall is as predicted.
             factor, at_end = _judged(system, current, trial, step)
             damping, growth = damping * factor, _GROWTH
@@ -227,13 +227,15 @@ def _better(system: System, current: Iterate, trial: Iterate, highest: float) ->
     """Return whether a step is taken: the cost falls, or, where it is blind, the distance does.
 
     In the weights of its beginning: what a loss minimises lies below (majorisation). Far from the
-    optimum, where rows turn with the state, in the rows of its end; near it, of its beginning.
+    optimum, where rows turn with the state, in the rows of its end; near it, of its beginning if
+    the distance falls, too: else steps go back and forth.
     """
+    nearer = trial.normal.decrement < current.normal.decrement
     if current.blind:
-        return trial.normal.decrement < current.normal.decrement
+        return nearer
     weights, cost = current.weights, system.cost(trial.judged, current.weights)
     if not cost < current.cost:
-        near = cost <= (1.0 + ROWS_FOLLOW) * current.cost
+        near = nearer and cost <= (1.0 + ROWS_FOLLOW) * current.cost
         if not (near and system.cost(trial.judged, weights, current.judged) <= current.cost):
             return False
     return system.loss is not None or trial.cost <= highest
@@ -249,6 +251,34 @@ def _judged(system: System, current: Iterate, trial: Iterate, step: Array) -> tu
     before, after = current.normal.decrement, trial.normal.decrement
     stays = after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
     return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0, current.blind and stays
+
+
+def _step(
+    system: System, current: Iterate, damping: float, fixed_poses: Mask, highest: float
+) -> tuple[Iterate | None, Array, int]:
+    """Return where a damped step leads if it is taken, the step, and the evaluations it took.
+
+    One that leads too high, in a curved valley, is bent by what the conditions at its end are off
+    from a straight course (M. K. Transtrum and J. P. Sethna 2012), unless that is as long itself.
+    """
+    normal, linear, T = current.normal, current.judged, system.unknowns.map
+    step = course = normal.step(damping)
+    trial, evaluations = _reached(system, current, step, fixed_poses)
+    while trial is not None and not _better(system, current, trial, highest):
+        if course is not step or current.blind:
+            return None, step, evaluations
+        off = linear.whitened(trial.judged.conditions) - linear.residuals
+        off -= linear.jacobian @ (T @ step)
+        slope = np.einsum("nmk,nm,n->k", linear.jacobian, off, current.weights) @ T
+        along = np.linalg.solve(normal.R.T, slope / normal.lengths)
+        bend = normal._replace(c=along).step(damping)
+        sizes = [float(np.linalg.norm(part * normal.lengths)) for part in (bend, step)]
+        if not sizes[0] < _BENT * sizes[1]:
+            return None, step, evaluations
+        course = step + bend
+        trial, count = _reached(system, current, course, fixed_poses)
+        evaluations += count
+    return trial, step, evaluations
 
 
 def _reached(
