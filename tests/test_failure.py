@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import run
+from marks import slow_or_fuzz
 from measured import put, workspace
 
 import pincal
@@ -70,13 +71,19 @@ def test_what_a_rough_mechanism_hides_is_named_when_the_fit_fails(method: str) -
     assert words in said(mechanism, wrong, method=method, rough=True)
 
 
-@pytest.mark.slow
-def test_a_frame_found_by_the_fit_hides_no_sign() -> None:
-    """Torsion of the other sign in a tracker's frame: the fit fails, and its sign is named."""
-    mechanism, data = measured("6UPS", 0.15, 24)
-    wrong = other_sign(data, 5)
-    text = said(mechanism, wrong, setup=FRAME)
-    assert "torsion has the opposite sign" in text
+@pytest.mark.parametrize(
+    ("kind", "reach", "column", "words"),
+    slow_or_fuzz(
+        [("3RRR", 0.2, 2, "the orientations are inverted")],
+        [("6UPS", 0.15, 5, "torsion has the opposite sign")],
+    ),
+)
+def test_a_frame_found_by_the_fit_hides_no_sign(
+    kind: str, reach: float, column: int, words: str
+) -> None:
+    """An angle of the other sign in a tracker's frame: the fit fails, and its sign is named."""
+    mechanism, data = measured(kind, reach, 24)
+    assert words in said(mechanism, other_sign(data, column), setup=FRAME)
 
 
 @pytest.mark.slow
