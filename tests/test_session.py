@@ -90,7 +90,7 @@ def test_forecast_is_that_of_a_forecast(begun: Session) -> None:
     expected = pincal.forecast(begun.mechanism, plan, NOISE).platform_error(
         begun.candidates.workspace
     )
-    limit = begun.candidates.limit(rows)
+    limit = begun.candidates.limit(*rows)
     assert limit == pytest.approx(expected.limit[0], rel=0.02)
 
 

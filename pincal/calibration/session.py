@@ -140,7 +140,7 @@ class Session:
         self.candidates = Candidates(
             mechanism, plan, options.noise, options.measured, setup, priors
         )
-        self.forecast = self.limits(self.candidates.course())
+        self.forecast = self.candidates.limits(self.candidates.course())
         self.chosen: int | None = None
         """Row of the plan to measure next, if not the best."""
         self.journal = Journal(folder, list(self.sheet))
@@ -197,16 +197,12 @@ class Session:
         outside = np.where(self.candidates.fresh(self.measured), self._outside, 0.0)
         return int(outside.argmax()) if outside.max() > 1.0 else None
 
-    def limits(self, rows: Sequence[int]) -> list[float]:
-        """Return the limit of the platform's error to expect after each of some rows, [m]."""
-        return [self.candidates.limit(rows[: count + 1]) for count in range(len(rows))]
-
     @property
     def missing(self) -> int:
         """About how many poses it takes to what is wanted, as forecast; 0 if it is enough."""
         if self.options.accuracy is None or self.enough:
             return 0
-        expected = self.candidates.limit(self.measured)
+        expected = self.candidates.limit(*self.measured)
         limit = np.inf if self.error is None else self.error.limit[0]
         goal = self.options.accuracy * (expected / limit if np.isfinite(limit) else 1.0)
         limits, levels = np.array(self.forecast), np.array([expected, goal])

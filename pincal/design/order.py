@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -242,6 +243,7 @@ class Candidates:
         half = np.asarray(np.linalg.qr(G / np.sqrt(len(gain)), mode="r")).T
         unmoving = len(unknowns) - len(half)
         self._moved = np.pad(half, ((0, unmoving), (0, 0)))  # C: tr Cᵀ M⁻¹ C is a mean square
+        self.limit = cache(self._limit)  # rows come one by one
 
     def information(self, measured: Sequence[int]) -> Array:
         """Return M of priors and rows of the plan, shape (n, n)."""
@@ -249,18 +251,23 @@ class Candidates:
         rows = np.concatenate((self.beforehand, flat))
         return np.asarray(rows.T @ rows)
 
+    def limits(self, measured: Sequence[int]) -> list[float]:
+        """Return the limit of the platform's error to expect after each of some rows, [m]."""
+        return [self.limit(*measured[: count + 1]) for count in range(len(measured))]
+
     @one_thread()
-    def limit(self, measured: Sequence[int]) -> float:
+    def _limit(self, *measured: int) -> float:
         """Return below which the platform's position error is in 95 of 100 machines, [m].
 
         Root mean square over the workspace, [rad] of a platform that only turns. Its square is a
-        weighted sum of squares, with the quantile of the χ² of its mean and variance
-        (Satterthwaite 1946).
+        weighted sum of squares, with the quantile of the χ² of its mean and variance (Satterthwaite
+        1946): weights are eigenvalues of V = Cᵀ M⁻¹ C, of sum tr V; their squares' is tr V².
         """
         half = inverse_roots(self.information(measured)[None])[0].T @ self._moved
-        weights = np.linalg.eigvalsh(half.T @ half).clip(0.0)
-        freedoms = weights.sum() ** 2 / (weights**2).sum()
-        return float(np.sqrt(weights.sum() * chdtri(freedoms, 1.0 - CONFIDENCE) / freedoms))
+        V = half.T @ half
+        mean = float(np.trace(V))
+        freedoms = mean**2 / float((V**2).sum())
+        return float(np.sqrt(mean * chdtri(freedoms, 1.0 - CONFIDENCE) / freedoms))
 
     @one_thread()
     def best(self, measured: Sequence[int]) -> tuple[int, float]:

@@ -172,7 +172,7 @@ def platform_error(
     rows = np.flatnonzero(legs.reached)[held]
     std = np.full((len(legs.reached), len(units)), np.nan)
     std[legs.reached] = np.inf
-    std[rows] = np.sqrt(np.einsum("nip,pq,niq->ni", gain, covariance, gain).clip(0.0))
+    std[rows] = np.sqrt((gain @ covariance * gain).sum(axis=2).clip(0.0))
     held_moves = np.zeros((*std.shape, 0))
     if isinstance(lost, Unidentified):
         least = np.median(std[rows], axis=0) if len(rows) else np.zeros(len(units))

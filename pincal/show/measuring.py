@@ -187,7 +187,7 @@ def state(session: Session) -> dict[str, Any]:
         "progress": progress(session),
         "enough": session.enough,
         "doubtful": session.doubtful[0] + 1 if session.doubtful else 0,
-        "course": [1e3 * limit for limit in session.limits(session.measured)],
+        "course": [1e3 * limit for limit in session.candidates.limits(session.measured)],
         "forecast": [1e3 * limit for limit in session.forecast],
         "goal": 1e3 * (session.options.accuracy or 0.0),
         "parameters": [] if table is None else [table.head_cells, *table.cells()],
