@@ -15,9 +15,9 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_821,
+    "calibration": 6_817,
     "cli": 2_788,
-    "design": 2_336,
+    "design": 2_343,
     "estimation": 4_735,
     "files": 3_374,
     "formats": 3_492,
