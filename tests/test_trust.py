@@ -240,7 +240,7 @@ def test_standard_errors_in_an_unknown_frame() -> None:
     A single spread is known to 11 %, the mean of all to 3 %. Errors of the platform are told from
     the covariance (tests/test_calibrate.py), which is that of the bound (tests/test_statistics.py).
     """
-    mechanism, _, clean = machine("3RRR", 40, EXACT)
+    _, mechanism, clean = machine("3RRR", 40, EXACT)
     found, said = [], []
     for seed in range(40):
         rng = np.random.default_rng(seed)
