@@ -15,19 +15,19 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_817,
-    "cli": 2_788,
+    "calibration": 6_818,
+    "cli": 2_789,
     "design": 2_343,
     "estimation": 4_735,
-    "files": 3_374,
-    "formats": 3_492,
-    "instruments": 1_582,
+    "files": 3_376,
+    "formats": 3_503,
+    "instruments": 1_579,
     "kinematics": 3_339,
-    "model": 3_612,
-    "show": 4_230,
+    "model": 3_611,
+    "show": 4_228,
     "symmetry": 1_374,
     "words": 953,
-    "workspace": 1_500,
+    "workspace": 1_493,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {

@@ -95,7 +95,7 @@ def test_what_has_no_grid_is_refused(tmp_path: Path) -> None:
         assert refused.code == 2
         assert words in " ".join(refused.trouble.split())
         assert not (tmp_path / "c").exists()
-    with pytest.raises(pincal.MeasurementError, match="0 or more"):
+    with pytest.raises(pincal.MeasurementError, match="0 to 5,000"):
         pincal.deploy("5R", tmp_path / "c", grid=-5)
 
 

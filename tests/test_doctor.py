@@ -140,14 +140,15 @@ def test_what_fits_alike_is_not_chosen_in_silence(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["5R", "delta"])
-def test_one_gross_row_is_left_out(kind: str, tmp_path: Path) -> None:
-    """Also where the fit of all rows is refused, the printed command works."""
+@pytest.mark.parametrize("frame", [(), ("--unknown-frame",)])
+@pytest.mark.parametrize("kind", ["5R", "delta", "3RRR"])
+def test_one_gross_row_is_left_out(kind: str, frame: tuple[str, ...], tmp_path: Path) -> None:
+    """Where the fit of all rows is refused or does not converge, too, the printed command works."""
     mechanism, _, data = machine(kind, 36, NOISE)
-    poses = data.poses.copy()
-    poses[5, 0] += 0.3
+    poses = (seen_from_elsewhere(mechanism, data) if frame else data).poses.copy()
+    poses[5, 0] *= 10.0
     replace(data, poses=poses).to_csv(tmp_path / "m.csv", mechanism)
-    outcome = run("doctor", kind, str(tmp_path / "m.csv"))
+    outcome = run("doctor", kind, str(tmp_path / "m.csv"), *frame)
     assert outcome.code == 0, outcome.out
     assert "--loss reject" in outcome.out
 

@@ -11,6 +11,7 @@ from shutil import copytree
 from threading import Thread
 
 import pytest
+from command_line import run
 from test_formats import CONFIG, config_file
 
 import pincal
@@ -330,3 +331,10 @@ def test_long_values_do_not_make_long_messages(value: str, tmp_path: Path) -> No
     assert len(message) <= 1500
     assert "line 3" in message
     assert "remove the row" in message
+
+
+@pytest.mark.parametrize("option", ["--starts", "--count", "--verify", "--rounds", "--reference"])
+def test_numbers_of_twenty_digits_are_refused(option: str, tmp_path: Path) -> None:
+    """Of starts, poses, rounds and rows: refused in words before memory is asked for."""
+    line = ("select", "5R", "-o", tmp_path / "plan.csv", option, "9" * 20)
+    assert "9" * 20 in run(*line).trouble

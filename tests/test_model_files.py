@@ -402,6 +402,32 @@ def test_an_arm_that_floats_stands_on_the_base_that_is_named(tmp_path: Path) -> 
     done("import", file, "--tip", "tool", "--base", "base", "-o", tmp_path / "arm")
 
 
+LOOPED = """<mujoco><worldbody><body name="mo" mocap="true"><geom size=".1"/></body><body name="l1">
+<joint name="a" axis="0 1 0"/><geom size=".1"/><body name="l2" pos="0 0 .4"><joint name="b"
+axis="0 1 0"/><geom size=".1"/><site name="tool" pos=".4 0 0"/></body></body><body name="rod">
+<joint name="c" axis="0 1 0"/><geom size=".1"/></body></worldbody>
+<equality>%s</equality></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("loop", "open_loops"),
+    [
+        ('<connect name="k" body1="rod" body2="l2" anchor="0 0 .2"/>', "k"),
+        ('<weld name="w" body1="l1" body2="rod"/>', "w"),
+        ('<weld name="hand" body1="l2" body2="mo"/>', ""),
+        ('<connect name="k" active="false" body1="rod" body2="l2" anchor="0 0 .2"/>', ""),
+    ],
+)
+def test_loops_of_an_arm_are_left_open_and_named(
+    loop: str, open_loops: str, tmp_path: Path
+) -> None:
+    """What holds joints of an arm is said; what is dragged by hand, or asleep, holds none."""
+    (tmp_path / "arm.xml").write_text(LOOPED % loop)
+    outcome = done("import", tmp_path / "arm.xml", "--tip", "tool", "-o", tmp_path / "arm")
+    assert ("left open" in outcome.err) == bool(open_loops)
+    assert f"{open_loops}: loops" in outcome.err or not open_loops
+
+
 @pytest.mark.parametrize(("name", "words"), [("a.sdf", "SDF"), ("a.urdf.xacro", "xacro FILE")])
 def test_files_that_must_become_others_say_how(name: str, words: str, tmp_path: Path) -> None:
     """SDF and xacro are called what they are."""

@@ -338,7 +338,8 @@ def _rejecting(remedies: Sequence[Remedy]) -> list[Remedy]:
     """Return what remedies give without rows that do not fit, where these are few."""
     few = []
     for remedy in remedies:
-        lost = remedy.result is not None and not remedy.result.converged
+        result = remedy.result
+        lost = result is not None and not (result.converged or result.outliers)
         if remedy.whatever_the_loss or lost or remedy.calibration.options.loss != "none":
             continue
         fewer = _attempt(remedy.findings, remedy.calibration.with_options(loss="reject"))

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
+from joblib import Parallel, cpu_count, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 from numpy.random import Generator
 
@@ -62,7 +62,7 @@ class Workers:
             PincalError: no scheduler or worker answers.
         """
         if not self.scheduler:
-            yield Parallel(self.workers or -1, return_as="generator")
+            yield Parallel(min(self.workers or cpu_count(), cpu_count()), return_as="generator")
             return
         try:
             client = extra("distributed").Client(self.scheduler, timeout=10, set_as_default=False)

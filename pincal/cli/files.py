@@ -28,7 +28,7 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, write_mechanism
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
-from pincal.files.urdf import XACRO, read_urdf
+from pincal.files.urdf import XACRO
 from pincal.files.urdf_writing import leg_urdf
 from pincal.formats import arm, closed, firmware, mjcf, users_urdf
 from pincal.formats.delta_printer import delta_printer
@@ -164,12 +164,13 @@ def _import_tree(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> Sequence[str]:
     """Write the mechanism of a URDF or MJCF file to a folder, and say what was understood."""
+    alone = form == "mjcf" or options.tip is not None
+    yaml = options.loops or (None if alone else users_urdf.loops_beside(file))
+    tree = mjcf.read_mjcf(file) if form == "mjcf" else users_urdf.read_loops(file, yaml)
     if options.tip is not None:
-        tree = read_urdf(file) if form == "urdf" else mjcf.read_mjcf(file)
-        mechanism, remarks = arm.serial_arm(tree, options.tip, options.base), tuple[str, ...]()
+        mechanism = arm.serial_arm(tree, options.tip, options.base)
+        remarks = arm.left_open(tree, mechanism)
     else:
-        yaml = None if form == "mjcf" else options.loops or users_urdf.loops_beside(file)
-        tree = mjcf.read_mjcf(file) if form == "mjcf" else users_urdf.read_loops(file, yaml)
         tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
         mechanism, remarks = closed.closed_mechanism(tree, options.platform, options.base)
         if yaml is not None:

@@ -207,7 +207,7 @@ def _search_options(
     noise: Noise | None = None, seed: int | np.random.Generator = 0, starts: int = 5
 ) -> tuple[Noise, np.random.Generator, int]:
     """Return the noise of measurements, the generator of random starts, and how many of these."""
-    count = count_of(starts, "starts", MeasurementError, 1)
+    count = count_of(starts, "starts", MeasurementError, 1, 1000)
     return as_noise(noise), generator_of(seed, MeasurementError), count
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 else:
     openpyxl = lazy_loader.load("openpyxl")
 
+os.environ.setdefault("OPENPYXL_LXML", "False")  # lxml's writer makes riddles of full disks
 MOST_COLUMNS, _MOST_ROWS = 1000, 2**20
 _TO_MEASURE = "FFF2CC"  # colour of cells to fill in
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from pincal.errors import MechanismError, located
 from pincal.files.tree import Step, Tree, coupled, route, turns
-from pincal.files.urdf import read_urdf
+from pincal.formats.closings import read_closed
 from pincal.kinematics.closure import LegClosure
-from pincal.model.checks import must_be
+from pincal.model.checks import listed, must_be
 from pincal.model.consistency import identifiers
 from pincal.model.joint import Joint
 from pincal.model.leg import Leg
@@ -38,7 +38,7 @@ _FREE = ("px", "py", "pz", "x", "y", "z")
 def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
     """Return a serial arm from any URDF: see ``Mechanism.from_urdf``."""
     path = Path(must_be(path, (str, Path), "a URDF file", MechanismError))
-    return replace(serial_arm(read_urdf(path), tip, base), name=re.sub(r"\W", "_", path.stem))
+    return replace(serial_arm(read_closed(path), tip, base), name=re.sub(r"\W", "_", path.stem))
 
 
 def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
@@ -61,6 +61,15 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
     text = f"Serial arm to {tip} of {Path(tree.source).name}."
     with located(tree.source, MechanismError):
         return arm(re.sub(r"\W", "_", tree.name), tuple(joints_along(tree, steps)), text)
+
+
+def left_open(tree: Tree, mechanism: Mechanism) -> tuple[str, ...]:
+    """Return a sentence on loops of a file that hold joints of a serial arm, if there are any."""
+    joints = {joint.name for joint in mechanism.legs[0].moving}
+    ways = {loop.joint.name: route(tree.edges, loop.parent, loop.child) for loop in tree.loops}
+    held = [name for name, way in ways.items() if joints & {edge.joint.name for edge, _ in way}]
+    text = f"{listed(held)}: loops of the arm's joints are left open; all of these are read"
+    return (text,) * bool(held)
 
 
 def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:

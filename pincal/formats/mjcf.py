@@ -203,6 +203,8 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
             poses = [_pose(data[:3]), _pose(data[3:6])]
         else:
             poses = [_pose(data[3:6], data[6:10]), _pose(data[:3])]
+        if (model.body_mocapid[ends] >= 0).any():
+            continue  # what is dragged by hand is no part of the machine
         first, second = map(placement_of, poses)
         joint = Joint(model.eq(i).name or f"loop_{i + 1}", "fixed", first)
         closes: Closing = "point" if connects else "frame"

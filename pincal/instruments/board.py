@@ -70,14 +70,11 @@ class Board:
     """Relative standard uncertainty of both."""
 
     def __post_init__(self) -> None:
+        least = 3 if self.kind in CHEQUERED else 1  # fewer have too few corners
         for number in self.squares:
-            count_of(number, "number of squares", MeasurementError, 1)
+            count_of(number, "number of squares", MeasurementError, least)
         count_of(self.first, "number of the first marker", MeasurementError, 0)
         columns, rows = self.squares
-        if self.kind in CHEQUERED and min(columns, rows) < 3:
-            raise MeasurementError(
-                f"{columns}x{rows} squares have too few corners; take 3x3 or more"
-            )
         if self.kind == "chessboard" and (columns + rows) % 2 == 0:
             raise MeasurementError(
                 f"a chessboard of {columns}x{rows} squares looks the same upside down; take one "

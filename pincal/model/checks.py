@@ -115,12 +115,14 @@ def numbers_of(values: Any, name: str, error_type: type[PincalError]) -> Array:
         raise error_type(f"{name}: expected numbers; got {described(values)}") from fault
 
 
-def count_of(value: Any, name: str, error_type: type[PincalError], least: int | None = None) -> int:
-    """Return a whole number, ``least`` or more; or raise an error of the given type."""
+def count_of(
+    value: Any, name: str, error_type: type[PincalError], least: int = -1000, most: int = 10**6
+) -> int:
+    """Return a whole number from ``least`` to ``most``; or raise an error of the given type."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise error_type(f"{name}: expected a whole number; got {described(value)}")
-    if least is not None and value < least:
-        raise error_type(f"{name} is {value}; expected {least} or more")
+    if not least <= int(value) <= most:
+        raise error_type(f"{name} is {described(value)}; expected {least} to {most:,}")
     return int(value)
 
 

@@ -80,10 +80,7 @@ class Power:
     def __post_init__(self) -> None:
         _check("a power's range", self.range, positive=True)
         _check("a power's centre", self.centre)
-        if not 2 <= count_of(self.power, "a power", MechanismError) <= 20:
-            raise MechanismError(
-                f"a power of {self.power!r}; expected 2 to 20 (0 and 1 are offset and gain)"
-            )
+        count_of(self.power, "a power", MechanismError, 2, 20)  # 0 and 1 are offset and gain
 
     def __call__(self, value: Array) -> Array:
         """Return the power."""

@@ -68,8 +68,6 @@ class GridOptions:
         0,
         "Correct commanded poses on a grid of so many nodes, for a controller whose geometry "
         "cannot be changed; 4096 is a good number.",
-        least=0,
-        most=5000,
     )
     box: str = option("", option_of(Limits, "box"))
     controller: Path | None = option(
@@ -80,7 +78,7 @@ class GridOptions:
 
     def __post_init__(self) -> None:
         """Check that the grid has nodes, if it has a box or a controller."""
-        count = count_of(self.grid, "grid", MeasurementError, 0)
+        count = count_of(self.grid, "grid", MeasurementError, 0, 5000)
         if not count and (self.box or self.controller):
             raise MeasurementError("--box and --controller are for --grid; give --grid 4096, too")
 

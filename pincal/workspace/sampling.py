@@ -105,7 +105,7 @@ def sample_configurations(
     mechanism = as_mechanism(mechanism)
     if not mechanism.by_readings:
         return Plan(sample_workspace(mechanism, count, seed, least, progress))
-    _check_count(count)
+    count_of(count, "the number of poses", WorkspaceError, 1, MOST)
     rng, criteria = generator_of(seed, WorkspaceError), None
     if any(leg.passive for leg in mechanism.legs):
         criteria = criteria_of(mechanism, as_margins(least))
@@ -232,7 +232,7 @@ def sample_workspace(
     mechanism = as_mechanism(mechanism)
     if mechanism.by_readings:
         return sample_configurations(mechanism, count, seed, least).poses
-    _check_count(count)
+    count_of(count, "the number of poses", WorkspaceError, 1, MOST)
     rng = generator_of(seed, WorkspaceError)
     if isinstance(seed, int | np.integer):
         (low, high, connected), rng.bit_generator.state = _explored(mechanism, int(seed), least)
@@ -260,13 +260,6 @@ def sample_workspace(
 def _batch(mechanism: Mechanism) -> int:
     """Return how many poses are drawn together: fewer where legs are closed by a search."""
     return _BATCH if all(map(closed_form, nominal_legs(mechanism))) else _PART
-
-
-def _check_count(count: int) -> None:
-    if not 1 <= count_of(count, "count", WorkspaceError) <= MOST:
-        raise WorkspaceError(
-            f"the number of poses is {count}; expected at least 1 and at most {MOST:,}"
-        )
 
 
 @lru_cache(maxsize=128)
