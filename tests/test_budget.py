@@ -15,18 +15,18 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_818,
+    "calibration": 6_814,
     "cli": 2_789,
     "design": 2_343,
-    "estimation": 4_735,
+    "estimation": 4_754,
     "files": 3_376,
     "formats": 3_503,
-    "instruments": 1_579,
+    "instruments": 1_603,
     "kinematics": 3_339,
-    "model": 3_611,
+    "model": 3_613,
     "show": 4_228,
     "symmetry": 1_374,
-    "words": 953,
+    "words": 951,
     "workspace": 1_493,
 }
 """Most lines of each room; a room that is not listed may have none."""

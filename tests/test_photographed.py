@@ -164,35 +164,37 @@ def scenes(name: str) -> Scene:
     return scene(robot, poses, 0.03, 0.6, in_hand=name == "arm with camera", count=30)
 
 
-SCENES = slow_or_fuzz(["3RRR"], ["6UPS", "delta", "arm with camera", "arm with board"])
+DRAWS = 4  # of the noise of photos: a single error may be twice what is usual
+SCENES = slow_or_fuzz(["3RRR", "delta"], ["6UPS", "arm with camera", "arm with board"])
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_photos_calibrate_as_forecast(name: str, tmp_path: Path) -> None:
     """The calibrated platform's true error is within 1.3 of what was forecast; χ² is right.
 
-    The forecast knows which boards are too far away to be read. The lens is found where it was
-    unknown. Where nothing is unknown but the machine, errors of its parameters are as their
-    standard errors.
+    That is over drawings of the photos' noise: of a delta single errors are 0.3 to 1.5 of the
+    forecast, and 0.93 over twelve. The forecast knows which boards are too far away to be read. The
+    lens is found where it was unknown. Where nothing is unknown but the machine, errors of its
+    parameters are as their standard errors.
     """
     place = scenes(name)
     truth = pincal.disturb(place.mechanism, 5e-4 * place.mechanism.size, 1)
-    data = place.photographed(truth, tmp_path)
-    sigma = float(np.nanmedian(np.column_stack([*data.sigma_extra.values()])))
-    noise = pincal.Noise(0.0, 0.0, 1e-7, pixel=sigma)
-    result = pincal.calibrate(place.mechanism, data, noise=noise, setup=place.setup)
-    over = place.poses[pincal.inverse(place.mechanism, place.poses).reached.all(axis=1)]
-    over = over[pincal.inverse(result.identified, over).reached.all(axis=1)]
     columns, setup = [*place.camera.columns], place.true_setup(known=False)
-    expected = pincal.forecast(truth, place.poses, noise, columns, setup).platform_error(over)
-    error = platform_accuracy(result.identified, truth, over)
-    assert error[0] < 1.3 * expected.position
-    assert error[1] < 1.3 * expected.orientation or not expected.orientation
-    assert 0.7 < result.reduced_chi2 < 1.4
-    lens = dict(zip(place.camera.lens.names, place.camera.lens.values, strict=True))
-    found = [p for p in result.parameters if p.id.startswith("lens.")]
-    for parameter in found:
-        assert abs(parameter.identified - lens[parameter.name]) < 4.0 * parameter.std
+    lens, ratios = dict(zip(place.camera.lens.names, place.camera.lens.values, strict=True)), []
+    for seed in range(DRAWS):
+        data = place.photographed(truth, tmp_path, seed)
+        sigma = float(np.nanmedian(np.column_stack([*data.sigma_extra.values()])))
+        noise = pincal.Noise(0.0, 0.0, 1e-7, pixel=sigma)
+        result = pincal.calibrate(place.mechanism, data, noise=noise, setup=place.setup)
+        over = place.poses[pincal.inverse(place.mechanism, place.poses).reached.all(axis=1)]
+        over = over[pincal.inverse(result.identified, over).reached.all(axis=1)]
+        expected = pincal.forecast(truth, place.poses, noise, columns, setup).platform_error(over)
+        sizes = np.array((expected.position, expected.orientation or np.inf))
+        ratios.append(platform_accuracy(result.identified, truth, over) / sizes)
+        assert 0.7 < result.reduced_chi2 < 1.4
+        for parameter in (p for p in result.parameters if p.id.startswith("lens.")):
+            assert abs(parameter.identified - lens[parameter.name]) < 4.0 * parameter.std
+    assert (np.sqrt(np.mean(np.square(ratios), axis=0)) < 1.3).all()
     if place.lens_known:
         setup = place.true_setup(known=True)
         exact = pincal.calibrate(place.mechanism, data, noise=noise, setup=setup)

@@ -188,7 +188,6 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "board-mirrored": ({"board": "b", "given": 0.06, "missed": 6e-5}, (), (), "board 'b' is a mirror image of what it should be: corrected"),
     "board-behind": ({"board": "b"}, (), (), "board 'b' is seen from behind: it, or its points in the setup, are mirrored"),
     "boards-exchanged": ({"boards": ("a", "b"), "given": 0.06, "missed": 6e-5}, (), (), "boards 'a' and 'b' are confused: corrected"),
-    "camera-moved": ({"given": 0.06, "missed": 6e-5}, (17,), (), "a camera was moved before data row 18: corrected"),
     "board-scale": ({"board": "b", "scale": 1.016, "given": 0.06, "missed": 6e-5}, (), (), "by the machine as drawn board 'b' is 1.6 % larger than said (an inch for 25 mm?): corrected"),
     "points-left-out": ({"names": ("front a", "side b")}, (3, 8), (), "left out: 2 points in photos: front a of data row 4 and side b of data row 9"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit the others, worst data row 2"),

@@ -83,9 +83,12 @@ class Calibration:
         )
 
     def with_noise(self, noise: Noise) -> Calibration:
-        """Return the calibration with noise that was estimated."""
-        model = noise_model(self.mechanism, self.measurements, noise, self.options.setup)
-        return replace(self, known_noise=replace(model, source=self.noise.source))
+        """Return the calibration with noise that was estimated; pixels' own keep proportions."""
+        data, before = self.measurements, self.noise
+        scaled = {n: s * (noise.pixel / before.noise.pixel) for n, s in data.sigma_extra.items()}
+        data = replace(data, sigma_extra=scaled)
+        model = noise_model(self.mechanism, data, noise, self.options.setup)
+        return replace(self, measurements=data, known_noise=replace(model, source=before.source))
 
     def at_this_noise(self) -> Calibration:
         """Return the calibration with its noise as it is, not estimated again."""

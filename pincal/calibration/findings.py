@@ -153,6 +153,7 @@ def lacking(fits: Fits) -> list[Finding]:
     scored = [
         (score, fit) for fit in fits.fits for score in scores(fit, _repeated_poses(data, fit.rows))
     ]
+    scored.sort(key=lambda pair: (pair[0].p_value, -pair[0].share))
     if not scored:  # residuals that are not white
         return []
     common = np.array([score.common for score, _ in scored])
@@ -163,7 +164,7 @@ def lacking(fits: Fits) -> list[Finding]:
     for of_kind in (~repeated, repeated):
         p_value = together(p_values[of_kind], weights[of_kind])
         if p_value < FALSE_ALARM:
-            worst, fit = scored[np.flatnonzero(of_kind)[np.argmin(p_values[of_kind])]]
+            worst, fit = scored[int(np.argmax(of_kind))]
             excess = (fit.chi2 - fit.degrees_of_freedom) * fits.calibration.noise.known
             if worst.share * fit.chi2 >= _EXPLAINS * excess:
                 clear.append(_followed(p_value, worst, fit, data))
@@ -177,7 +178,7 @@ def _followed(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Fin
         return finding("rows-alike", correlation=worst.correlation, **values)
     if worst.term not in ("again", "step"):
         return finding("model-lacks", term=worst.term, **values)
-    values |= {"size": worst.size, "unit": fit.problem.quantities[worst.quantity]}
+    values |= {"size": worst.size, "unit": fit.problem.quantities.get(worst.quantity, "m")}
     if worst.term == "step":
         return finding("step", (int(fit.rows[worst.row]),), **values)
     rows = fit.rows[_repeated_poses(data, fit.rows)[worst.place]]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -82,7 +82,7 @@ def noise_model(
 
     Without ``noise`` and without columns of standard deviations, repeated rows give it if there
     are enough of them; else it is to be estimated, and what is returned is where that begins:
-    readings exact where poses were measured in full.
+    readings exact where poses were measured in full. Columns of pixels alone give proportions.
 
     Raises:
         MeasurementError: given twice, or rows that give it for readings only.
@@ -113,6 +113,9 @@ def noise_model(
         source, (general, freedoms) = "repeats", repeated
     else:
         source, general = "estimated", assumed_noise(mechanism, exact=full, sees=bool(setup.pixels))
+        if data.sigma_extra:
+            usual = np.sqrt(np.nanmean(np.square([*data.sigma_extra.values()])))
+            general = replace(general, pixel=float(usual))
     platform = mechanism.platform
     poses = row_noise(platform.freedoms, platform.units, data, general, setup, platform)
     readings = data.sigma_readings
@@ -133,7 +136,7 @@ def _has_sigmas(
 ) -> bool:
     """Return whether rows have standard deviations of their own; those of readings not alone.
 
-    Those of pixels go with noise that is given of all else, too.
+    Those of pixels go with noise of all else that is given, or estimated.
     """
     rows = data.sigma_poses is not None or bool(data.sigma_extra.keys() - setup.pixels)
     if data.sigma_readings is not None and np.isfinite(data.poses).all() and not rows:
@@ -146,7 +149,7 @@ def _has_sigmas(
             "the measurements have columns of standard deviations, and the noise is given as "
             "well; leave out one of them"
         )
-    return rows or data.sigma_readings is not None or (noise is None and bool(data.sigma_extra))
+    return rows or data.sigma_readings is not None
 
 
 def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:

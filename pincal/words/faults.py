@@ -87,10 +87,6 @@ FAULTS: dict[str, Wording] = {
         f"boards '{{boards[0]}}' and '{{boards[1]}}' are confused{_BY_PHOTOS}",
         "Exchange them in the setup",
     ),
-    "camera-moved": _error(
-        f"a camera was moved before data row {{row}}{_BY_PHOTOS}",
-        "Leave out the shorter part, or name the camera anew from there on ('camera' in corners)",
-    ),
     "board-scale": Wording(
         "by the machine as drawn board '{board}' is {(100 * scale - 100)|abs|g} % "
         "{'larger' if scale > 1 else 'smaller'} than said"

@@ -33,7 +33,9 @@ FINDINGS: dict[str, Wording] = {
     "noise-estimated": Wording(
         "no noise was given; estimated from the residuals: "
         "{noise_in_words(position, orientation, reading, units, pixel|default(none))}",
-        f"{_GIVE_NOISE} if it is known",
+        "Give the noise (--noise-reading{', --noise-position' if position}"
+        "{', --noise-orientation' if orientation}{', --noise-pixel' if pixel|default(none)}) if it "
+        "is known",
     ),
     "chi2-too-large": Wording(
         f"{_CHI2}larger than {_SOURCE}, or the model is incomplete; {_ASSUMED}",
@@ -64,8 +66,8 @@ FINDINGS: dict[str, Wording] = {
     ),
     "step": Wording(
         "{quantity} is off by {size|amount(unit)} from data row {row} on ({p_value|chance})",
-        "Run pincal explain first; then look for an encoder that slipped or a target that was hit, "
-        "and leave the shorter part out",
+        "Run pincal explain first; then look for an encoder that slipped, or a target or camera "
+        "that was hit, and leave the shorter part out",
         title="a step",
     ),
     "rows-alike": Wording(

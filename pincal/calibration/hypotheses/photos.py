@@ -23,27 +23,26 @@ from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.instruments.camera import Camera, Markers
 from pincal.kinematics.forward import forward
-from pincal.types import Array, Index
+from pincal.types import Array
 from pincal.words.findings import finding, sentence
 
 _RATIO = 2.0  # by which what is put right divides the misfit
 _ROWS = 40  # enough to judge by
 _SHIFTS = (1, -1, 2, -2)
-_FEWEST = 4  # photos that place a camera
 _UNSURE = 0.2  # of the pitch of a board, relative, if it may be any
 _FAR = 5e-3  # of the machine's size: by so much no machine as drawn misses points
 _ROUNDS = 5  # of points that do not fit, in turn with fits
-_PITCH = 5e-3  # by which a pitch is off that is not as said
+_PITCH, _FAR_PITCH = 5e-3, 1e-2  # by which a pitch is off that is not as said
 
-Judged = tuple[float, str, dict[str, Any], tuple[int, ...]]
-"""What is missed, median [m], code and values of what would be wrong, and rows."""
+Judged = tuple[float, str, dict[str, Any]]
+"""What is missed, median [m], code and values of what would be wrong."""
 
 
 def photo_faults(calibration: Calibration) -> tuple[Finding, ...]:
     """Return what would explain that photos do not fit; empty if nothing does."""
     sample = _sample(calibration)
-    judged = [(_missed(c)[0], code, values, ()) for code, values, c in _hypotheses(calibration)]
-    return _explaining(_missed(sample)[0], [*judged, *_scaled(sample), *_moved(calibration)])
+    judged = [(_missed(c)[0], code, values) for code, values, c in _hypotheses(calibration)]
+    return _explaining(_missed(sample)[0], [*judged, *_scaled(sample)])
 
 
 def check_photos(calibration: Calibration) -> None:
@@ -54,9 +53,15 @@ def check_photos(calibration: Calibration) -> None:
 
 
 def pitch_faults(calibration: Calibration) -> tuple[Finding, ...]:
-    """Return that a board has another pitch than said, which else changes all lengths alike."""
+    """Return that a board has another pitch than said, which else changes all lengths alike.
+
+    What is far off is said if the machine as drawn misses points less with it: so far its own
+    lengths are not off together.
+    """
     sample = _sample(calibration)
-    return _explaining(_missed(sample)[0], [*_scaled(sample)])
+    scaled = [*_scaled(sample)]
+    is_far = any(abs(values["scale"] - 1.0) > _FAR_PITCH for _, _, values in scaled)
+    return _explaining(_missed(sample)[0], scaled, 1.0 if is_far else _RATIO)
 
 
 def boards_behind(
@@ -74,16 +79,21 @@ def boards_behind(
     return tuple(finding("board-behind", board=name) for name in behind)
 
 
-def _explaining(nominal_miss: float, judged: list[Judged]) -> tuple[Finding, ...]:
-    missed, code, values, rows = min(judged, key=lambda case: case[0], default=(np.inf, "", {}, ()))
-    if not missed * _RATIO <= nominal_miss:
+def _explaining(
+    nominal_miss: float, judged: list[Judged], ratio: float = _RATIO
+) -> tuple[Finding, ...]:
+    missed, code, values = min(judged, key=lambda case: case[0], default=(np.inf, "", {}))
+    if not missed * ratio <= nominal_miss:
         return ()
-    return (finding(code, rows, given=nominal_miss, missed=missed, **values),)
+    return (finding(code, given=nominal_miss, missed=missed, **values),)
 
 
 def _sample(calibration: Calibration) -> Calibration:
+    """Return a calibration on some of its rows, by boards of exactly the pitch that is said."""
     count = len(calibration.measurements)
-    return calibration.rows(np.unique(np.linspace(0, count - 1, min(count, _ROWS)).astype(int)))
+    rows = np.unique(np.linspace(0, count - 1, min(count, _ROWS)).astype(int))
+    boards = {c.markers.name: replace(c.markers, scale=0.0) for c in _cameras(calibration)}
+    return _with_boards(calibration.rows(rows), boards)
 
 
 def _cameras(calibration: Calibration) -> list[Camera]:
@@ -136,49 +146,31 @@ def _scaled(sample: Calibration) -> Iterator[Judged]:
     for name, board in {c.markers.name: c.markers for c in _cameras(sample)}.items():
         if any(point is not None for point in board.points.values()):
             case = _with_boards(sample, {name: replace(board, scale=_UNSURE)})
-            missed, values, _ = _missed(case)
+            missed, values = _missed(case)
             scale = values.get(f"{name}.scale", 1.0)
             if abs(scale - 1.0) > _PITCH:
-                yield missed, "board-scale", {"board": name, "scale": scale}, ()
+                yield missed, "board-scale", {"board": name, "scale": scale}
 
 
-def _moved(calibration: Calibration) -> Iterator[Judged]:
-    """Yield that cameras stand elsewhere from a row on, by where they are in both end thirds."""
-    every, third = np.arange(len(calibration.measurements)), len(calibration.measurements) // 3
-    if third < _FEWEST:
-        return
-    ends = (every[:third], every[-third:])
-    parts = [_missed(calibration, placed_by)[2] for placed_by in ends]
-    before, after = (np.nansum(part, axis=1) for part in parts)
-    sums = np.append(0.0, np.cumsum(before)) + np.append(np.cumsum(after[::-1])[::-1], 0.0)
-    first = int(np.argmin(sums))
-    missed = float(np.nanmedian(np.concatenate((parts[0][:first], parts[1][first:]))))
-    if 0 < first < len(every):
-        yield missed, "camera-moved", {}, (first,)
+def _missed(calibration: Calibration) -> tuple[float, dict[str, float]]:
+    """Return by how much the nominal machine misses points, median, [m].
 
-
-def _missed(
-    calibration: Calibration, rows: Index | None = None
-) -> tuple[float, dict[str, float], Array]:
-    """Return by how much the nominal machine misses points, cameras placed by some rows, [m].
-
-    The median, values of what is unknown of cameras by id, and all of it, shape (N, r).
+    Further, values of what is unknown of cameras by id.
     """
     machine, data = calibration.mechanism, calibration.measurements
     observation, ids = calibration.observation, calibration.options.setup.device_parameters
-    pixels = np.array([unit == "px" for unit in observation.units])
-    part = calibration if rows is None else calibration.rows(rows)
     try:
-        external = part.started(part.latent_problem).start(part.unknowns.start).external
+        problem = calibration.started(calibration.latent_problem)
     except (PincalError, np.linalg.LinAlgError):
-        return np.inf, {}, np.full((len(data), int(pixels.sum())), np.inf)
+        return np.inf, {}
+    external = problem.start(calibration.unknowns.start).external
     poses = forward(machine, data.readings, influences=calibration.influences).poses
     matrices = machine.platform.matrices(poses)
-    metres = observation.metres_per_pixel(matrices, external)
-    missed = np.abs(observation.residuals(matrices, external)[0]) * metres
-    missed = np.where(observation.measured, np.nan_to_num(missed, nan=np.inf), np.nan)[:, pixels]
+    pixels = observation.measured & (np.array(observation.units) == "px")
+    missed = np.abs(observation.residuals(matrices, external)[0])
+    missed *= observation.metres_per_pixel(matrices, external)
     values = zip(ids, external.instruments.tolist(), strict=True)
-    return float(np.nan_to_num(np.nanmedian(missed), nan=np.inf)), dict(values), missed
+    return float(np.median(np.nan_to_num(missed[pixels], nan=np.inf))), dict(values)
 
 
 def _with_boards(calibration: Calibration, boards: dict[str, Markers]) -> Calibration:
