@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from command_line import done
 from differences import assert_derivative
-from marks import slow_or_fuzz
 from measured import platform_accuracy
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
@@ -725,10 +724,10 @@ BY_HAND = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DETECTIONS.is_file(), reason=f"no measurements in {motoman.DATA}")
 @pytest.mark.parametrize(
-    ("options", "within", "median", "mean"),
-    slow_or_fuzz([(BY_HAND, 0.06, 1.05, 1.67)], [({}, None, 1.05, 1.75)]),
+    ("options", "within", "median", "mean"), [(BY_HAND, 0.06, 1.05, 1.67), ({}, None, 1.05, 1.75)]
 )
 def test_a_real_arm_seen_by_two_cameras(
     options: dict[str, object], within: float | None, median: float, mean: float
