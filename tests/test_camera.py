@@ -16,7 +16,6 @@ import pytest
 from command_line import done
 from differences import assert_derivative
 from measured import platform_accuracy
-from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 import pincal
@@ -584,36 +583,6 @@ def test_what_a_camera_cannot_see_is_not_planned() -> None:
     assert not small.visible(poses, np.empty(0)).any()
     with pytest.raises(pincal.MeasurementError, match="say that roughly"):
         pincal.forecast("6UPS", plan, setup=pincal.Setup(instruments=(_unknown(true),)))
-
-
-@pytest.mark.parametrize("make", [_camera, _in_hand])
-def test_the_platform_hides_what_is_behind_it(make) -> None:  # type: ignore[no-untyped-def]
-    """As samples of lines of sight say, which are in the hull of the points of its legs or not.
-
-    Of a flat platform marks above it are seen from above, and none below.
-    """
-    rng, camera = np.random.default_rng(4), make()
-    truth, data = _measured(camera)
-    poses = truth.platform.transforms(pincal.forward(truth, data.readings).poses).as_matrix()
-    middle, T = (0.04, 0.04, -0.2) if camera.on_platform else (0.1, -0.15, 0.1), poses
-    body = middle + rng.uniform(-0.08, 0.08, (6, 3))
-    hidden = camera.hidden(poses, np.empty(0), body)[:, ::2]
-    boards = _motion(camera.markers.at, camera.markers.rotation)
-    boards, eyes = (np.linalg.inv(T) @ boards, np.eye(4)) if camera.on_platform else (boards, T)
-    points = np.array([*BOARD.values()]) @ boards[..., :3, :3].mT + boards[..., None, :3, 3]
-    eye = (np.linalg.inv(eyes) @ [*camera.at, 1.0])[..., None, :3]
-    along = np.linspace(0.0, 1.0, 4000)[:, None, None, None] * (points - eye) + eye
-    inside = Delaunay(body).find_simplex(along).max(axis=0) >= 0
-    assert (hidden == inside).mean() > 0.99
-    assert 0.1 < inside.mean() < 0.9
-    if not camera.on_platform:
-        marks = pincal.Markers({"above": (0.0, 0.0, 0.01), "below": (0.0, 0.0, -0.01)}, known=True)
-        above = replace(_camera(at=(0.1, 0.0, 3.0)), markers=marks)
-        setup = pincal.Setup(instruments=(above,))
-        plan = pincal.Plan(pincal.forward(truth, data.readings).poses)
-        seen = pincal.simulate("6UPS", truth, plan, pincal.Noise(pixel=0.1), setup=setup)
-        visible = {n: np.isfinite(v).all() for n, v in seen.measurements.extra.items()}
-        assert [n for n, ok in visible.items() if ok] == ["front_above_u", "front_above_v"]
 
 
 @pytest.mark.parametrize("scale", [0.0, 2e-3])

@@ -212,7 +212,7 @@ REGION += " --axis torsion=-0.05:0.05:0.005"
     [
         (REGION, signal.SIGINT),
         (REGION, signal.SIGTERM),
-        ("select 5R --count 12 --candidates {}/candidates.csv --starts 1000000", signal.SIGINT),
+        ("select 5R --count 12 --candidates {}/candidates.csv --starts 1000", signal.SIGINT),
         ("calibrate 5R {}/many.csv", signal.SIGINT),
     ],
 )

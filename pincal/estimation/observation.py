@@ -40,7 +40,6 @@ class Observation:
         """
         platform = self.platform = mechanism.platform
         self.setup = setup
-        self._body = {point.placement.xyz for leg in mechanism.legs for point in leg.points}
         for name, purpose in setup.required.items():
             if name not in {**data.extra, **data.contacts}:
                 raise MeasurementError(f"no column {name!r}, {purpose}")
@@ -123,22 +122,20 @@ class Observation:
     def visible(self, matrices: Array, external: External) -> Observation:
         """Return the observation with nothing measured that cameras do not see at poses.
 
-        Poses are ``T_base_platform``, shape (N, 4, 4). The platform hides what is behind the hull
-        of the points that legs hold.
+        Poses are ``T_base_platform``, shape (N, 4, 4).
         """
         hidden = self._asked("visible", matrices, external) == 0.0
-        hidden |= self._asked("hidden", matrices, external, np.array([*self._body])) == 1.0
         return self._with(measured=self.measured & ~hidden)
 
     def metres_per_pixel(self, matrices: Array, external: External) -> Array:
         """Return what a pixel is at poses where what is seen is, (N, r), [m/px]; NaN of others."""
         return self._asked("metres_per_pixel", matrices, external)
 
-    def _asked(self, method: str, matrices: Array, external: External, *more: Array) -> Array:
+    def _asked(self, method: str, matrices: Array, external: External) -> Array:
         values, poses = np.full(self.measured.shape, np.nan), external.frame @ matrices
         for instrument, columns, places in self._devices():
             if ask := getattr(instrument, method, None):
-                values[:, columns] = ask(poses, external.instruments[places], *more)
+                values[:, columns] = ask(poses, external.instruments[places])
         return values
 
     def _devices(self) -> Iterator[tuple[Instrument, slice, Index]]:

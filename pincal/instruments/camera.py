@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -30,7 +29,6 @@ _PLACE = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz
 _AXES = "xyz"
 _FEWEST = 3  # photos from which hand–eye calibration finds anything
 _STEEPEST = np.cos(np.radians(75.0))  # angle from the normal at which markers are still read
-_TOUCHES = 1e-6  # of a line of sight: what ends so near a body is on it
 SMALLEST_WINDOW = 3  # half the side of what a corner is found by [px]
 
 
@@ -315,28 +313,6 @@ class Camera:
             slopes = np.nan_to_num(self.lens.project(seen, lens)[1] @ axes)
             visible &= windows(self.markers.clear, slopes) >= SMALLEST_WINDOW
         return np.repeat(visible, 2, axis=1)
-
-    def hidden(self, poses: Array, values: Array, body: Array) -> Mask:
-        """Return which columns it could not measure at poses for the platform itself, (N, r).
-
-        That are points behind the hull of its corners, shape (n, 3), in the platform's frame, [m]:
-        lines of sight cross some triangle of them before they end.
-        """
-        place, X, moved = self._parts(values)[0][:3], *self._carried(poses, values)[1:]
-        if self.on_platform:
-            eye, points = place, moved
-        else:
-            eye, points = ((place - poses[:, :3, 3])[:, None] @ poses[:, :3, :3]), X
-        ray, hidden = points - eye, np.zeros(moved.shape[:2], dtype=np.bool_)
-        for corner, *others in combinations(body, 3):
-            first, second = sides = np.subtract(others, corner)
-            with np.errstate(divide="ignore", invalid="ignore"):  # along the triangle
-                share = ((corner - eye) @ (normal := np.cross(first, second))) / (ray @ normal)
-                met = eye + share[..., None] * ray - corner
-            inside = met @ np.linalg.pinv(sides)
-            inside = (inside >= 0.0).all(axis=2) & (inside.sum(axis=2) <= 1.0)
-            hidden |= inside & (share > 0.0) & (share < 1.0 - _TOUCHES)
-        return np.repeat(hidden, 2, axis=1)
 
     def facing(self, poses: Array, values: Array) -> Array:
         """Return cosines of lines of sight to the normal, (N, M): below 0 from behind."""
