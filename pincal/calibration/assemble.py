@@ -28,7 +28,6 @@ from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.observability.identifiable import identifiability
 from pincal.estimation.observability.residuals import leg_residuals, redundancy
-from pincal.estimation.problem import Problem
 from pincal.estimation.relations import touches
 from pincal.estimation.unknowns import State
 from pincal.instruments.camera import Camera
@@ -143,11 +142,11 @@ def _misses(fits: Fits) -> tuple[float, float]:
     """
     calibration, mechanism = fits.calibration, fits.calibration.mechanism
     observation, data = calibration.observation, calibration.measurements
-    block = calibration.leg_block(range(len(mechanism.legs)), np.arange(len(data)))
-    linear, n = fits.fits[0].last, block.n_rows
+    problem = calibration.every_leg()
+    block, linear, n = problem.leg_block, fits.fits[0].last, problem.leg_block.n_rows
     if not fits.latent:
         state = State(fits.parameters, mechanism.platform.matrices(data.poses))
-        linear = Problem(block, observation).evaluate(state)
+        linear = problem.evaluate(state)
     e, B = linear.conditions.copy(), linear.by_pose
     counts: Mask = np.asarray(np.isfinite(data.readings).all(axis=1))
     for fit in fits.fits:

@@ -188,6 +188,12 @@ class Calibration:
             pose_roots,
         )
 
+    def every_leg(self, used: Mask | None = None) -> Problem:
+        """Return the problem of all legs at all rows, without a start; used as in ``leg_block``."""
+        rows, legs = np.arange(len(self.measurements)), range(len(self.mechanism.legs))
+        noise = self.observation.row_noise(self.measurements, self.noise.noise)
+        return Problem(self.leg_block(legs, rows, used), self.observation.with_noise(noise))
+
     @cached_property
     def influences(self) -> Array:
         """What terms depend on, row by row, shape (N, n_influences)."""
@@ -198,11 +204,8 @@ class Calibration:
     @cached_property
     def latent_problem(self) -> Problem:
         """The problem of all legs with unknown poses, without a start; rows fix their poses."""
-        every = np.arange(len(self.measurements))
-        noise = self.observation.row_noise(self.measurements, self.noise.noise)
-        leg_block = self.leg_block(range(len(self.mechanism.legs)), every, self.used)
-        problem = Problem(leg_block, self.observation.with_noise(noise))
-        dof = problem.platform.dof
+        problem = self.every_leg(self.used)
+        leg_block, dof = problem.leg_block, problem.platform.dof
         if (problem.equations < 0).any():
             row = int(np.argmax(problem.equations < 0))
             raise MeasurementError(

@@ -22,10 +22,10 @@ from pincal.estimation.components import (
     Moments,
     Tie,
     assumed_information,
-    counted,
     estimated_noise,
     likeliest,
     tie_of,
+    with_exact_readings,
 )
 from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
@@ -165,7 +165,7 @@ def _with_estimated_noise(fits: Fits) -> Fits:
         if _agree(fits.noise, estimate):
             break
         fits = _again(fits, estimate)
-    fits = replace(fits, fits=[counted(fit, fits.noise, assumed) for fit in fits.fits])
+    fits = replace(fits, fits=with_exact_readings(fits.fits, fits.noise, assumed))
     moments = fits.moments
     if not fits.sound or moments.rounding:
         return fits
@@ -190,7 +190,7 @@ def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> No
     In turn with the fits at that noise, to first order: they need no new search.
     """
     for _ in range(ROUNDS):
-        fits = replace(fits, fits=[counted(fit, fits.noise, assumed) for fit in fits.fits])
+        fits = replace(fits, fits=with_exact_readings(fits.fits, fits.noise, assumed))
         moments, noise, unit = fits.moments, fits.noise, fits.reading_unit
         estimate = estimated_noise(moments, noise, unit, assumed, exact=exact, tie=tie)
         if moments.rounding or _agree(noise, estimate):

@@ -238,8 +238,7 @@ def _drawn(fits: Fits, held: Calibration, linear: Linear, unit: float, seed: int
     of parameters and frames go through the legs' rows to it, and from it to what was measured.
     """
     if not fits.latent:  # a row that serves one leg shows by all of them where the platform is
-        rows, legs = np.arange(len(held.measurements)), range(len(held.mechanism.legs))
-        problem = replace(held.latent_problem, leg_block=held.leg_block(legs, rows))
+        problem = held.every_leg()
         start = placed(problem, held.measurements, fits.parameters, fits.external)
         linear = problem.evaluate(start)
     A, B, S, state = linear.by_parameter, linear.by_pose, linear.noise_root, linear.state

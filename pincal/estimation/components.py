@@ -196,15 +196,16 @@ def estimated_noise(
     return Noise(*(float(size * factor) for size, factor in zip(sizes, factors, strict=False)))
 
 
-def counted(fit: Fit, noise: Noise, unit: Noise) -> Fit:
-    """Return a fit whose readings show no noise where theirs, of that estimated, is at its floor.
+def with_exact_readings(fits: Sequence[Fit], noise: Noise, unit: Noise) -> list[Fit]:
+    """Return fits whose readings show no noise where theirs, of that estimated, is at its floor.
 
     The unit is noise that is assumed to be alike.
     """
     _, ratio = _relative(noise, unit)
     if not noise.reading > 0.0 or ratio[_R] > (1.0 + _TIED) * _SMALLEST**2 * ratio.max():
-        return replace(fit, exact=0)
-    return replace(fit, exact=round(float(_moments(fit, noise.reading)[0][_R].sum())))
+        return [replace(fit, exact=0) for fit in fits]
+    shown = (float(_moments(fit, noise.reading)[0][_R].sum()) for fit in fits)
+    return [replace(fit, exact=round(freedoms)) for fit, freedoms in zip(fits, shown, strict=True)]
 
 
 def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:

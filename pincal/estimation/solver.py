@@ -262,23 +262,23 @@ def _step(
     from a straight course (M. K. Transtrum and J. P. Sethna 2012), unless that is as long itself.
     """
     normal, linear, T = current.normal, current.judged, system.unknowns.map
-    step = course = normal.step(damping)
+    step = normal.step(damping)
     trial, evaluations = _reached(system, current, step, fixed_poses)
-    while trial is not None and not _better(system, current, trial, highest):
-        if course is not step or current.blind:
-            return None, step, evaluations
-        off = linear.whitened(trial.judged.conditions) - linear.residuals
-        off -= linear.jacobian @ (T @ step)
-        slope = np.einsum("nmk,nm,n->k", linear.jacobian, off, current.weights) @ T
-        along = np.linalg.solve(normal.R.T, slope / normal.lengths)
-        bend = normal._replace(c=along).step(damping)
-        sizes = [float(np.linalg.norm(part * normal.lengths)) for part in (bend, step)]
-        if not sizes[0] < _BENT * sizes[1]:
-            return None, step, evaluations
-        course = step + bend
-        trial, count = _reached(system, current, course, fixed_poses)
-        evaluations += count
-    return trial, step, evaluations
+    if trial is None or _better(system, current, trial, highest):
+        return trial, step, evaluations
+    if current.blind:
+        return None, step, evaluations
+    off = linear.whitened(trial.judged.conditions) - linear.residuals
+    off -= linear.jacobian @ (T @ step)
+    slope = np.einsum("nmk,nm,n->k", linear.jacobian, off, current.weights) @ T
+    along = np.linalg.solve(normal.R.T, slope / normal.lengths)
+    bend = normal._replace(c=along).step(damping)
+    length, bend_length = (float(np.linalg.norm(part * normal.lengths)) for part in (step, bend))
+    if not bend_length < _BENT * length:
+        return None, step, evaluations
+    trial, count = _reached(system, current, step + bend, fixed_poses)
+    taken = trial is not None and _better(system, current, trial, highest)
+    return trial if taken else None, step, evaluations + count
 
 
 def _reached(

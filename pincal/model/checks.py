@@ -116,7 +116,7 @@ def numbers_of(values: Any, name: str, error_type: type[PincalError]) -> Array:
 
 
 def count_of(
-    value: Any, name: str, error_type: type[PincalError], least: int = -1000, most: int = 10**6
+    value: Any, name: str, error_type: type[PincalError], least: int = 0, most: int = 10**6
 ) -> int:
     """Return a whole number from ``least`` to ``most``; or raise an error of the given type."""
     if isinstance(value, bool) or not isinstance(value, Integral):

@@ -254,10 +254,9 @@ class Instrument(Protocol):
     nominal values by id; ``shared``, owners of parameters that other instruments have, too;
     ``begin(poses, measured, known)``, values from which a search begins, at poses of the nominal
     machine and values by id that others share; ``visible(poses, values)``, which columns it could
-    measure at poses, shape (N, r), for plans and simulations;
-    ``metres_per_pixel(poses, values)``, what one of its pixels is at what it sees, shape (N, r),
-    [m/px]; ``marks``, columns of right and down by the names of points, which tables of corners
-    fill.
+    measure at poses, shape (N, r), for plans and simulations; ``metres_per_pixel(poses, values)``,
+    what one of its pixels is at what it sees, shape (N, r), [m/px]; ``marks``, columns of right and
+    down by the names of points, which tables of corners fill.
 
     Example:
         >>> import numpy as np, pincal
