@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_815,
+    "calibration": 6_817,
     "cli": 2_789,
     "design": 2_343,
-    "estimation": 4_752,
+    "estimation": 4_753,
     "files": 3_376,
     "formats": 3_503,
     "instruments": 1_579,

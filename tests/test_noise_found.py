@@ -89,6 +89,20 @@ def test_what_a_model_lacks_is_no_noise_of_sensors(monkeypatch: pytest.MonkeyPat
     assert missed[1] <= 1.03 * missed[0]
 
 
+@pytest.mark.parametrize("tracker", [1e-4, 2e-5])
+def test_sensors_noisier_than_a_tracker_are_no_misfit(tracker: float) -> None:
+    """A hexapod whose readings move it farther than it is measured fits, and its noise is right."""
+    nominal = pincal.load_mechanism("6UPS")
+    truth = pincal.disturb(nominal, 1e-3, seed=5)
+    plan = pincal.sample_configurations(nominal, 60, seed=5)
+    noise = pincal.Noise(tracker, tracker, 5e-5)
+    data = pincal.simulate(nominal, truth, plan, noise, seed=5).measurements
+    result = pincal.calibrate(nominal, data)
+    assert {finding.code for finding in result.findings} == {"noise-estimated"}
+    for estimate, true in zip(vars(result.noise).values(), (tracker, tracker, 5e-5), strict=False):
+        assert estimate == pytest.approx(true, rel=0.25)
+
+
 def test_exact_readings_of_eight_drives_leave_no_direction_open() -> None:
     """Noise of more readings than freedoms is far below that of poses, and not zero.
 

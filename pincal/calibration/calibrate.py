@@ -153,7 +153,7 @@ def run(
     findings = (*explain_result(result, fits.external), *findings_of(result, sure_fits))
     findings = (*findings, *points_left_out(asked.measurements, result.measurements))
     lacks = near is None and "model-lacks" in {remark.code for remark in findings}
-    if lacks and tie_of(fits.fits[0], fits.noise, lacks=True):
+    if lacks and tie_of(fits.fits[0], fits.noise):
         return run(asked, folds, by, fits)
     terms = sorted(fits.calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
     if AUTO in asked.options.terms and terms:

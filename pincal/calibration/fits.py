@@ -17,6 +17,7 @@ from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import ObservabilityError
 from pincal.estimation.components import (
+    PLAUSIBLE,
     Evidence,
     FoundTolerance,
     Moments,
@@ -155,12 +156,13 @@ def _with_estimated_noise(fits: Fits) -> Fits:
     """Return fits at the noise that their residuals show, by group, with what that widens."""
     calibration, mechanism = fits.calibration, fits.calibration.mechanism
     assumed, tie = assumed_noise(mechanism, exact=False), None
+    plausible = 0.0 if calibration.lacks else PLAUSIBLE * assumed.reading
     exact = bool(np.isfinite(calibration.measurements.poses).all()) and not mechanism.redundant
     for _ in range(_REFITS):
         if not fits.sound:
             return fits
         estimate = _noise_of(fits, assumed, tie, exact=exact)
-        if tie is None and (tie := tie_of(fits.fits[0], estimate, lacks=calibration.lacks)):
+        if tie is None and (tie := tie_of(fits.fits[0], estimate, plausible)):
             estimate = _noise_of(fits, assumed, tie, exact=exact)
         if _agree(fits.noise, estimate):
             break

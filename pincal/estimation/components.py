@@ -29,6 +29,7 @@ _BEFOREHAND = 1.0  # spread of variances about what is assumed of them, over the
 _TIED = 1e-6  # the same where that is not to be left
 _SENSOR = 0.25  # how far a sensor's own noise moves the platform, over the noise of that
 _SENSORS_ONLY = 3.0  # the same from which noise of readings is rather what the model lacks
+PLAUSIBLE = 3.0  # standard deviation of readings over that assumed: sensors are rarely noisier
 _LARGEST_STEP = 10.0  # factor by which a variance changes at once, at most
 _SMALLEST = 1e-3  # standard deviation of readings over the largest, each over its unit, not exact
 _ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
@@ -208,14 +209,14 @@ def with_exact_readings(fits: Sequence[Fit], noise: Noise, unit: Noise) -> list[
     return [replace(fit, exact=round(freedoms)) for fit, freedoms in zip(fits, shown, strict=True)]
 
 
-def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
+def tie_of(fit: Fit, noise: Noise, plausible: float = 0.0) -> Tie | None:
     """Return to which noise that of readings is tied if it moves what was measured much farther.
 
     What the model lacks looks like noise of the readings, and poses near singularities would
     then judge the model. It belongs to what was measured of the platform: only repeated rows may
-    show sensors that are so noisy; none a quarter as noisy where residuals say that the model
-    lacks something. Cameras show what pixels move. None if noise is known, poses are as measured,
-    or nothing was.
+    show sensors that are noisier than plausible, [rad] or [m]. None is, and none moves it a quarter
+    as far, where residuals say that the model lacks something. Cameras show what pixels move. None
+    if noise is known, poses are as measured, or nothing was.
     """
     problem, linear, n_legs = fit.problem, fit.last, fit.problem.leg_block.n_rows
     if fit.system.known or not problem.latent:
@@ -235,9 +236,9 @@ def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
         squares = np.median((moved**2).sum(axis=2), axis=0)[moving]
     lever = float(np.sqrt(np.mean(squares))) if np.size(squares) else 0.0
     group = GROUPS[unit]
-    largest_ratio = (1.0 + _TIED) * _SENSOR if lacks else _SENSORS_ONLY
-    far = lever * noise.reading > largest_ratio * (*vars(noise).values(),)[group]
-    return (group, _SENSOR / lever) if far else None
+    ratio = _SENSORS_ONLY if plausible else (1.0 + _TIED) * _SENSOR
+    far = lever * noise.reading > ratio * (*vars(noise).values(),)[group]
+    return (group, _SENSOR / lever) if far and noise.reading > plausible else None
 
 
 def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array, Array]]:
