@@ -6,7 +6,7 @@ A 3-RRR of 1.5 m links, 24 poses for each leg in turns (72 rows, all used), nois
 and 20 µrad on readings, which is given. Closed forms in plain NumPy make the data and say how far
 the platform is off (tests/cramer_rao.py); weight's torques are differences of these. Machines are
 drawn at random, and judged at 300 poses of the workspace, at any time of the run; after a slip, as
-they are then. ``--write`` puts the table into docs/beyond_geometry.md.
+they are then. ``--write`` puts the table into docs/tables.
 """
 
 from __future__ import annotations
@@ -382,7 +382,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", type=int, default=100)
     parser.add_argument("--only", nargs="*", choices=ERRORS, default=list(ERRORS))
-    parser.add_argument("--write", action="store_true", help="into docs/beyond_geometry.md")
+    parser.add_argument("--write", action="store_true", help="into docs/tables")
     given = parser.parse_args()
     print(HEAD)
     lines = []
@@ -391,7 +391,7 @@ def main() -> None:
         print(table, often, sep="\n", flush=True)
         lines.append(table)
     if given.write:
-        write_table("beyond_geometry.md", "beyond_geometry.py", [HEAD, *lines])
+        write_table("beyond_geometry", [HEAD, *lines])
 
 
 if __name__ == "__main__":

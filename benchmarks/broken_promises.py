@@ -9,7 +9,7 @@ or not. Errors of the 6-UPS are 0.3 m long for each radian. A promise is of 150 
 as these lie in the measured region; beyond it none is made. Lines have, noise given and not: how
 often a limit is promised; how often one is promised and broken, and by more than a fifth; how often
 95 % intervals hold the parameters. ``--middle`` measures 60 poses of the middle of the workspace
-alone. ``--write`` puts the table into docs/accuracy.md.
+alone. ``--write`` puts the table into docs/tables.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", choices=KINDS, default=list(KINDS))
     parser.add_argument("--errors", nargs="*", choices=ERRORS, default=list(ERRORS))
     parser.add_argument("--middle", action="store_true")
-    parser.add_argument("--write", action="store_true", help="into docs/accuracy.md")
+    parser.add_argument("--write", action="store_true", help="into docs/tables")
     given = parser.parse_args()
     lines = [HEAD]
     print(HEAD)
@@ -154,7 +154,7 @@ def main() -> None:
             lines.append(line(one, name, given.sets))
             print(lines[-1], flush=True)
     if given.write:
-        write_table("accuracy.md", "broken_promises.py", lines)
+        write_table("broken_promises", lines)
 
 
 if __name__ == "__main__":

@@ -103,4 +103,4 @@ def forecasts() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    write_table("how_to/photos.md", "camera_photos.py", list(forecasts()))
+    write_table("camera_photos", list(forecasts()))

@@ -122,7 +122,7 @@ def main() -> None:
             print(line, flush=True)
             lines.append(line)
     if options.write:
-        write_table("your_mechanism.md", "closed_loops.py", lines)
+        write_table("closed_loops", lines)
 
 
 if __name__ == "__main__":

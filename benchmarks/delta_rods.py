@@ -82,9 +82,9 @@ if __name__ == "__main__":
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--machines", type=int, default=20)
-    parser.add_argument("--write", action="store_true", help="write the table into its page")
+    parser.add_argument("--write", action="store_true", help="into docs/tables")
     options = parser.parse_args()
     table = lines(options.machines)
     print("\n".join(table))
     if options.write:
-        write_table("mechanisms.md", "delta_rods.py", table)
+        write_table("delta_rods", table)

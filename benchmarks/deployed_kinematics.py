@@ -1,6 +1,6 @@
 """How far deployed kinematics are from pincal's, and their time a pose.
 
-``python -m benchmarks.deployed_kinematics`` writes the table of docs/commanding.md. Least
+``python -m benchmarks.deployed_kinematics`` writes docs/tables/deployed_kinematics.csv. Least
 processor time of two runs over all poses, calls from Python into C included.
 """
 
@@ -89,4 +89,4 @@ def table() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    write_table("commanding.md", "deployed_kinematics.py", table())
+    write_table("deployed_kinematics", table())

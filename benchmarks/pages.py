@@ -1,19 +1,17 @@
-"""Puts the table that a benchmark made where a page of the docs has it."""
+"""Puts the table that a benchmark made where the docs link it."""
 
 from __future__ import annotations
 
-import re
+import csv
 from collections.abc import Iterable
 from pathlib import Path
 
-DOCS = Path(__file__).parents[1] / "docs"
+TABLES = Path(__file__).parents[1] / "docs" / "tables"
 
 
-def write_table(page: str, benchmark: str, lines: Iterable[str]) -> None:
-    """Write lines between ``<!-- made by benchmarks/… -->`` and ``<!-- end -->`` of a page."""
-    path, table = DOCS / page, "\n".join(lines)
-    block = re.compile(
-        rf"(<!-- made by benchmarks/{re.escape(benchmark)} -->\n).*?(<!-- end -->)", re.DOTALL
-    )
-    text = path.read_text(encoding="utf-8")
-    path.write_text(block.sub(lambda m: f"{m[1]}{table}\n{m[2]}", text), encoding="utf-8")
+def write_table(benchmark: str, lines: Iterable[str]) -> None:
+    """Write a table in Markdown as ``docs/tables/BENCHMARK.csv``."""
+    text = "\n".join(lines).splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text]
+    with (TABLES / f"{benchmark}.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(row for row in rows if "---" not in row[0])

@@ -1,4 +1,4 @@
-"""What a calibration promises, against data made apart from it: the table of docs/accuracy.md.
+"""What a calibration promises, against data made apart from it: docs/tables/statistics.csv.
 
     python benchmarks/statistics.py [--sets 40] [--only repeats sizes …]
 

@@ -6,6 +6,7 @@ folder that is empty at first:
 - ``console``: lines that begin with ``$ pincal`` are commands; what they print stands below them.
   A command must end well, or as the comment behind it says: ``# exit code 1``.
 - ``python``: all of a page are one program. What a block prints is the ``text`` block after it.
+- ``<!-- program: programs/NAME.py -->`` is a part of that program which the page does not show.
 - a block after ``<!-- file: NAME -->`` is written to that file.
 - ``<!-- keep: PATTERN -->`` before a block keeps the messages of its answers in which the pattern
   is found; what was left out is an ellipsis.
@@ -31,7 +32,7 @@ DOCS = Path(__file__).parent
 MARK = "<!-- run by answers.py -->"
 _BLOCK = re.compile(
     r"(?P<head>(?:<!-- (?P<how>file|keep): (?P<what>[^\n]*?) -->\n)?```(?P<kind>\w+)\n)"
-    r"(?P<body>.*?)(?P<tail>^```$)",
+    r"(?P<body>.*?)(?P<tail>^```$)|^<!-- program: (?P<file>[^\n]*?) -->$",
     re.DOTALL | re.MULTILINE,
 )
 _WIDTH = 100  # at which commands wrap what they say
@@ -144,6 +145,9 @@ def _filled(text: str, folder: Path, program: Program) -> Iterator[str]:
     """Yield the parts of a page, from top to bottom."""
     at, said = 0, ""
     for one in _BLOCK.finditer(text):
+        if one["file"]:
+            said = program.answer((DOCS / one["file"]).read_text(encoding="utf-8"))
+            continue
         pattern = one["what"] if one["how"] == "keep" else None
         body = one["body"]
         if one["how"] == "file":

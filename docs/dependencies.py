@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from importlib import metadata
+from itertools import groupby
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -13,59 +14,48 @@ PAGE = Path(__file__).with_suffix(".md")
 _BLOCK = re.compile(r"(<!-- made by dependencies\.py: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 #: Why each package that pincal asks for is there.
 WHY = {
-    "pin": "Pinocchio: kinematics of all joints and parameters, with their derivatives; reads URDF",
-    "numpy": "batched arrays and small linear algebra",
-    "scipy": "least squares, rigid transforms, k-d trees, Voronoi diagrams, graph and grid "
-    "components, distributions",
-    "lazy_loader": "names of `pincal` imported when first used, from one typed list",
-    "lxml": "reads URDF strictly and safely (no entities, no network), with line numbers; yourdfpy "
-    "repairs what is broken and folds roll-pitch-yaw into matrices, so what was read could not be "
-    "written back bit for bit",
-    "cattrs": "results as plain data and back, bit for bit (`load_result`)",
-    "jinja2": "pages (reports, tables, notebooks) from templates that escape what people's files "
-    "hold",
-    "joblib": "many machines (`pincal montecarlo`): processes whose answers come in order, or Dask "
-    "in their place",
-    "yourdfpy": "second reader of the URDFs that pincal writes (tests); meshes for `pincal view`",
-    "trimesh": "meshes of people's URDFs (STL, DAE, OBJ) in `pincal view --meshes`; yourdfpy needs "
-    "it, and its reader of DAE, too",
-    "PyYAML": "mechanism files, scanned by the libyaml in its wheels",
+    "pin": "Pinocchio: kinematics with their derivatives; reads URDF",
+    "numpy": "arrays",
+    "scipy": "least squares, transforms, k-d trees, Voronoi diagrams, graphs, distributions",
+    "lazy_loader": "names of `pincal` imported when first used",
+    "lxml": "reads URDF strictly and safely, with line numbers, so that it is written back bit for "
+    "bit (yourdfpy repairs what is broken)",
+    "cattrs": "results as plain data and back, bit for bit",
+    "jinja2": "pages from templates that escape what files hold",
+    "joblib": "many machines: processes whose answers come in order, or Dask",
+    "yourdfpy": "second reader of URDF (tests); meshes for `pincal view`",
+    "trimesh": "meshes (STL, DAE, OBJ)",
+    "PyYAML": "mechanism files, scanned by libyaml",
     "typer": "command line",
     "rich": "tables and progress",
-    "threadpoolctl": "one thread of BLAS while small matrices are computed: two take up to four "
-    "times as long",
-    "matplotlib": "plots, also those inside reports, as SVG",
-    "meshcat": "`pincal view` in the browser: its viewer (three.js, MIT) is one file "
-    "that goes into the page; its server, and what that needs (tornado, pyzmq, pyngrok, ipython), "
-    "are installed with it but not used",
-    "openpyxl": "reads and writes .xlsx files: tables of measurements, sheets to fill in",
-    "pandas": "extra `pandas`: tables in and out as DataFrames",
-    "mujoco": "extra `mujoco`: reads MJCF, its own format: defaults, includes, frames, replicas, "
-    "all notations of orientations; a reader by hand knew some of them, and lost joints in silence",
-    "opencv-python-headless": "extra `camera`: dictionaries of markers, and finding them in photos",
-    "distributed": "extra `cluster`: Dask, the workers of `--scheduler`; others do what one that "
-    "was killed left",
-    "pyarrow": "extra `cluster`: tables of many machines as Parquet",
-    "example-robot-data": "tests and examples: twenty and more arms as URDFs with their meshes",
+    "threadpoolctl": "one thread of BLAS for small matrices: two take up to four times as long",
+    "matplotlib": "plots",
+    "meshcat": "its viewer (three.js) in pages; its server and what that needs are never started",
+    "openpyxl": ".xlsx files",
+    "pandas": "extra `pandas`: DataFrames",
+    "mujoco": "extra `mujoco`: reads MJCF, its own format",
+    "opencv-python-headless": "extra `camera`: markers in photos",
+    "distributed": "extra `cluster`: Dask, the workers of `--scheduler`",
+    "pyarrow": "extra `cluster`: Parquet",
+    "example-robot-data": "arms as URDFs with meshes",
     "hypothesis": "properties and fuzzed files",
-    "playwright": "drives Debian's Chromium, which `.ci/run` installs; without one the tests of "
-    "the page skip",
-    "pytest": "runs the tests",
+    "playwright": "drives Debian's Chromium; without one tests of the page skip",
+    "pytest": "tests",
     "pytest-benchmark": "speeds",
-    "pytest-xdist": "tests in two processes",
-    "sphinx": "the site: references that are checked, a strict build, search without a server",
-    "myst-parser": "pages of the site stay Markdown",
-    "pydata-sphinx-theme": "the site's looks: light and dark, telephones",
-    "sphinx-gallery": "runs the examples for the site, with thumbnails and notebooks",
-    "sphinx-copybutton": "commands of the site are copied without their prompts",
-    "sphinx-design": "cards on the site's first page",
-    "nbclient": "runs notebooks in the tests",
-    "ipykernel": "runs the code of notebooks",
-    "import-linter": "the floors of the house",
+    "pytest-xdist": "two processes",
+    "sphinx": "the site, built strictly",
+    "myst-parser": "pages in Markdown",
+    "pydata-sphinx-theme": "the site's looks",
+    "sphinx-gallery": "runs the examples; notebooks",
+    "sphinx-copybutton": "copies commands",
+    "sphinx-design": "cards",
+    "nbclient": "runs notebooks",
+    "ipykernel": "runs notebooks",
+    "import-linter": "floors",
     "mypy": "types",
-    "ruff": "style, unused names, formatting",
-    "types-PyYAML": "types of PyYAML",
-    "lxml-stubs": "types of lxml",
+    "ruff": "style",
+    "types-PyYAML": "types",
+    "lxml-stubs": "types",
 }
 #: Licences by the words of classifiers, and of licence texts.
 _CLASSIFIERS = {
@@ -144,11 +134,9 @@ def direct(*groups: str) -> str:
 
 
 def indirect() -> str:
-    """Return the table of what these bring along."""
-    rows = [
-        f"| {name} | {licence(name)} | {', '.join(sorted(by))} |" for name, by in brought().items()
-    ]
-    return "| package | licence | needed by |\n|---|---|---|\n" + "\n".join(rows) + "\n"
+    """Return what these bring along, by licence."""
+    names = sorted(brought(), key=licence)
+    return "".join(f"- {kind}: {', '.join(group)}\n" for kind, group in groupby(names, licence))
 
 
 TABLES = {

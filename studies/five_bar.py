@@ -82,10 +82,10 @@ def _inscribed(study: Study) -> Circle:
     study.say(
         f"""Elbows outward, on home's side of both types of singularity and within the shoulder
         limits of the bundled mechanism (45° to 225°, mirrored), the five-bar reaches
-        {found.measure:.3f} ± {found.uncertainty:.3f} m² (at most half a cell along the edge of a
-        grid of {1e3 * step:.0f} mm). The largest circle inside has radius {circle.radius:.4f} m
-        around ({abs(circle.centre[0]):.4f}, {circle.centre[1]:.4f}) m. Postures are chosen in the
-        circle less 5 %."""
+        {found.measure:.3f} ± {found.uncertainty:.3f} m² (a grid of {1e3 * step:.0f} mm). The
+        largest circle inside has radius {circle.radius:.4f} m around
+        ({abs(circle.centre[0]):.4f}, {circle.centre[1]:.4f}) m; postures are chosen in it, less
+        5 %."""
     )
     figure, (axes,) = drawing.panels(1, 6, 5)
     drawing.draw_mechanism(axes, study.mechanism, (0.0, float(circle.centre[1])))
@@ -120,9 +120,9 @@ def _postures(study: Study, circle: Circle) -> tuple[dict[str, pincal.Plan], dic
     study.heading("Postures (Fig. 4)")
     study.say(
         f"""Chosen among {len(candidates):,} by the active calibration algorithm, rows weighted by
-        the noise they carry. O₁ is Eq. 7 of the identification matrix of each leg, in readings,
-        with the postures that the leg uses: it grows with their number. Efficiency is against the
-        continuous D-optimal bound of the same protocol, so it does not rank protocols."""
+        their noise. O₁ is Eq. 7 of each leg in readings, and grows with the number of its postures.
+        Efficiency is against the continuous D-optimal bound of the same protocol, so it does not
+        rank protocols."""
     )
     rows: list[tuple[Cell, ...]] = []
     for name, one in selections.items():
@@ -298,8 +298,7 @@ def _against(
     )
     study.say(
         f"""From the same 36 postures: each leg alone with its own, {means[own][0]:.2e}; each leg
-        with all, {means[every][0]:.2e}; with rows weighted by their noise,
-        {means[weighted][0]:.2e}; all legs together, {means[BEST][0]:.2e}. The traditional fit of
-        all
-        legs, unweighted, is the leg by leg one: rows of different legs share no parameters."""
+        with all, {means[every][0]:.2e}; weighted by their noise, {means[weighted][0]:.2e}; all
+        legs together, {means[BEST][0]:.2e}. Unweighted, all legs together give what each alone
+        gives: their rows share no parameters."""
     )

@@ -67,11 +67,10 @@ def parameters(study: Study, truth: pincal.Mechanism, outcomes: list[Outcome]) -
     draws, ways = len(outcomes[0].errors), [one.way for one in outcomes]
     study.heading("Parameters before and after (Tables 2, 3, Fig. 5)")
     study.say(
-        f"""Real parameters as in Table 2, noise 1e-4 on positions [m] and readings [rad], {draws}
-        draws of the noise. The error is the root mean square over all twelve parameters, in m, rad
-        and 1 alike, and over draws; ± is its standard error. The bound is Cramér and Rao's for
-        the postures that the legs use: no unbiased estimator is better. Before calibration the
-        error is {np.sqrt((before**2).mean()):.2e}."""
+        f"""Real parameters of Table 2, noise 1e-4 on positions [m] and readings [rad], {draws}
+        draws of the noise. Errors are root mean squares over draws and all twelve parameters (m,
+        rad and 1 alike), ± their standard error; the bound is Cramér and Rao's for the postures
+        that the legs use. Before calibration the error is {np.sqrt((before**2).mean()):.2e}."""
     )
     columns: dict[str, list[Cell]] = {
         "way": [way.name for way in ways],
@@ -84,7 +83,8 @@ def parameters(study: Study, truth: pincal.Mechanism, outcomes: list[Outcome]) -
         "± [m, rad, 1]": [one.mean[1] for one in outcomes],
         "Cramér-Rao bound [m, rad, 1]": [float(np.sqrt((one.bound**2).mean())) for one in outcomes],
     }
-    study.table("table_3_parameter_errors", "Error of the parameters by way.", columns)
+    caption = "Error of the parameters by way."
+    study.table("table_3_parameter_errors", caption, columns, ["measured postures", "rows a leg"])
     names = [f"{n} ({leg.name})" for leg in mechanism.legs for n in leg.parameter_names]
     single: dict[str, list[Cell]] = {
         "parameter": list(names),
@@ -92,11 +92,9 @@ def parameters(study: Study, truth: pincal.Mechanism, outcomes: list[Outcome]) -
         "real": values(truth).tolist(),
         "before": np.abs(before).tolist(),
     }
-    study.table(
-        "table_2_parameters",
-        "Each parameter: error before, and after by way, SI units.",
-        single | {one.way.name: one.single for one in outcomes},
-    )
+    single |= {one.way.name: [*one.single] for one in outcomes}
+    caption = "Each parameter: error before, and after by way, SI units."
+    study.table("table_2_parameters", caption, single, list(single))
     paper = outcomes[0]
     worse = [
         f"{name}: {old:.1e} before, {new:.1e} after"
@@ -104,9 +102,8 @@ def parameters(study: Study, truth: pincal.Mechanism, outcomes: list[Outcome]) -
         if new > old
     ]
     study.say(
-        f"""Calibration makes worse what was nearly right before: with the paper's way
-        {"; ".join(worse) or "no parameter"}. Their nominal values are closer to the real ones than
-        the noise lets any estimator come."""
+        f"""The paper's way makes worse what was right within the noise:
+        {"; ".join(worse) or "no parameter"}."""
     )
     shown = [outcomes[index] for index in _SHOWN]
     units = np.array([leg.units[n] for leg in mechanism.legs for n in leg.parameter_names])
@@ -146,8 +143,7 @@ def maps(study: Study, truth: pincal.Mechanism, circle: Circle, outcomes: list[O
     study.table(
         "fig_6_position_errors",
         f"""Position error of the end-effector over {100 * INSIDE:.0f} % of the circle's radius,
-        root mean square of {kept} draws (before: of the one machine); the largest is over the
-        circle.""",
+        root mean square of {kept} draws (before: of the one machine).""",
         {
             "way": list(found),
             "root mean square [mm]": [1e3 * float(np.sqrt((m**2).mean())) for m in found.values()],
@@ -178,33 +174,29 @@ def costs(study: Study, ways: list[Way], seconds: dict[str, float]) -> None:
     alone = [way.method == "per-leg" for way in ways]
     study.heading("Costs (Tables 1, 3)")
     legs, each = len(n), n[0]
-    study.table(
-        "table_1_costs",
-        f"""Table 1 in general: of n legs with N parameters each, all identified; here n = {legs},
-        N = {each}. Only own parameters appear in a leg's equations, so that the regressor of all
-        is block-diagonal: what divides the cost by n² is not to invert its zeros.""",
-        {
-            "way": ["traditional", "divide and conquer"],
-            "regressor": ["CᵀC, N n × N n", "n of CᵀC, N × N"],
-            "cost of inversion": ["∝ N³ n³", "∝ N³ n"],
-            "here": [(each * legs) ** 3, each**3 * legs],
-            "over divide and conquer": [f"n² = {legs**2}", "1"],
-        },
-    )
-    study.table(
-        "table_3_costs",
-        """Measured values: two coordinates and all sensors at each posture. The regressor is what a
-        step of the search inverts; its cost is counted as the cube of its size.""",
-        {
-            "way": [way.name for way in ways],
-            "postures": [len(way.plan.poses) for way in ways],
-            "measured values": [len(way.plan.poses) * (2 + len(n)) for way in ways],
-            "regressors": [
-                f"{len(n)} of {n[0]}×{n[0]}" if a else f"1 of {sum(n)}×{sum(n)}" for a in alone
-            ],
-            "cost of inversion": [sum(k**3 for k in n) if a else sum(n) ** 3 for a in alone],
-        },
-    )
+    general: dict[str, list[Cell]] = {
+        "way": ["traditional", "divide and conquer"],
+        "regressor": ["CᵀC, N n × N n", "n of CᵀC, N × N"],
+        "cost of inversion": ["∝ N³ n³", "∝ N³ n"],
+        "here": [(each * legs) ** 3, each**3 * legs],
+        "over divide and conquer": [f"n² = {legs**2}", "1"],
+    }
+    caption = f"""Table 1: inverting one CᵀC of N n × N n costs ∝ N³ n³, n of N × N cost ∝ N³ n;
+    with n = {legs} legs of N = {each} parameters {(each * legs) ** 3} and {each**3 * legs}. A leg's
+    equations have its own parameters alone: what divides by n² is not to invert zeros."""
+    study.table("table_1_costs", caption, general, list(general))
+    columns: dict[str, list[Cell]] = {
+        "way": [way.name for way in ways],
+        "postures": [len(way.plan.poses) for way in ways],
+        "measured values": [len(way.plan.poses) * (2 + len(n)) for way in ways],
+        "regressors": [
+            f"{len(n)} of {n[0]}×{n[0]}" if a else f"1 of {sum(n)}×{sum(n)}" for a in alone
+        ],
+        "cost of inversion": [sum(k**3 for k in n) if a else sum(n) ** 3 for a in alone],
+    }
+    caption = """Table 3, by way: measured values are two coordinates and all sensors at each
+    posture; the cost is the cube of what a step of the search inverts."""
+    study.table("table_3_costs", caption, columns, list(columns))
     study.figure(
         "table_3_times",
         "Table 3: time to choose postures, and to simulate and identify once",

@@ -139,8 +139,8 @@ def _lengths(study: Study, poses: Array) -> str:
     study.heading("A pose and its images (Eqs. 35 to 41, Fig. 4)")
     study.say(
         f"""The orientation matrix of azimuth 0.2, tilt 0.3 and torsion 0.4 is that of Eq. 35 within
-        {np.abs(R - MATRIX).max():.1e}. The platform's half angle is θa = π/3 − 0.3, its short sides
-        facing the base's long ones as in the paper's figures; Section 4 prints θa = 0.3."""
+        {np.abs(R - MATRIX).max():.1e}. The platform's half angle is θa = π/3 − 0.3 as in the
+        paper's figures; Section 4 prints θa = 0.3."""
     )
     headers = ("equation", "element", *(f"L{i} [m]" for i in range(1, 7)), "off by [m]")
     caption = "Leg lengths at the pose and its images."
@@ -210,18 +210,15 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
     }
     study.heading("Total orientation workspace (Figs. 5, 6)")
     study.say(
-        f"""Legs between 1.6 and 2.6 m, universal joints within ± {bar:.0f}°, which the paper does
-        not bound, no margins from singularities, on a grid of {1e3 * step:.0f} mm at
-        z = 1.8 m. Tilt and torsion: 36 azimuths, 7 tilts up to 0.6 rad, 13 torsions within ± 0.6
-        rad.
-        Z-Y-X: 13 values of each angle within ± 0.6 rad. The set of tilts and torsions is
-        mapped onto itself by the whole group, the box of Z-Y-X angles by y → −y only."""
+        f"""Legs between 1.6 and 2.6 m, universal joints within ± {bar:.0f}° (the paper does not
+        bound them), no margins from singularities, a grid of {1e3 * step:.0f} mm. Tilt and torsion:
+        36 azimuths, 7 tilts up to 0.6 rad, 13 torsions within ± 0.6 rad, mapped onto themselves by
+        the whole group. Z-Y-X: 13 values of each angle within ± 0.6 rad, mapped by y → −y only."""
     )
     study.table(
         "figs_5_6_workspaces",
-        """Section at z = 1.8 m, volume of the whole workspace with z ≥ 0, whether either reaches
-        the rim of its grid, the volume if the legs' lengths alone bound it, and the share of the
-        section's cells that every element keeps inside.""",
+        """Section at z = 1.8 m, volume with z ≥ 0, the volume if the legs' lengths alone bound it,
+        and the share of the section's cells that every element keeps inside.""",
         {
             "orientations": list(found),
             "cells": [w.count for w in found.values()],
@@ -235,6 +232,7 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
             "legs alone [m³]": [w.measure for w in alone.values()],
             "kept by the group": list(kept.values()),
         },
+        ["cells", "± of the area [m²]", "at the rim"],
     )
     for number, name in ((5, "tilt and torsion"), (6, "Z-Y-X angles")):
         figure = Figure(figsize=(11, 5), layout="constrained")
@@ -316,8 +314,7 @@ def _savings(study: Study) -> float:
     study.heading("What symmetry saves")
     study.say(
         f"""The paper's factor of six needs a grid that the group maps onto itself: radius and
-        bearing.
-        On a square grid only y → −y maps positions onto positions. {len(turns):,} orientations."""
+        bearing. A square one is mapped by y → −y only. {len(turns):,} orientations."""
     )
     headers = ("grid", "elements used", "positions", "computed", "factor", "same set")
     caption = "Positions to compute, with the symmetry of grid and mechanism."

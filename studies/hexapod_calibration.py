@@ -65,14 +65,13 @@ def calibration(study: Study, poses: Array) -> dict[str, Array]:
     study.say(
         f"""48 parameters, disturbed by σ = {SIGMA:g} (m, rad and 1); poses measured with
         {1e6 * NOISE.position:.0f} µm and {1e6 * NOISE.orientation:.0f} µrad, legs with
-        {1e6 * NOISE.reading:.0f} µm. {count} machines, of which {lost} calibrations did not
-        converge; errors of the platform over {len(some)} poses of the workspace, root mean square
-        over poses and machines. The bound is Cramér and Rao's for each machine: leg by leg, or
-        of all legs where they are identified together."""
+        {1e6 * NOISE.reading:.0f} µm; {count} machines, of which {lost} calibrations did not
+        converge. Root mean squares over machines and {len(some)} poses; the bound is Cramér and
+        Rao's, leg by leg or of all legs together."""
     )
     study.table(
         "calibration",
-        "Errors before and after, root mean squares over machines; ± is the standard error.",
+        "Errors before and after; ± is the standard error.",
         {
             "way": list(errors),
             "measured poses": [0, *(len(way.plan.poses) for way in ways)],
@@ -89,9 +88,8 @@ def calibration(study: Study, poses: Array) -> dict[str, Array]:
     spread = np.ptp([leg.r_diagonal for leg in first.legs], axis=0).max()
     study.table(
         "selection",
-        f"""Selections; each efficiency is against the bound of its own protocol. |R_ii| of the
-        symmetric one differs between legs by at most
-        {max(spread, 1e-12):.0e}.""",
+        f"""Selections, efficiency against the bound of the same protocol. |R_ii| of the symmetric
+        one differs between legs by at most {max(spread, 1e-12):.0e}.""",
         {
             "selection": list(selections),
             "poses": [len(s.plan.poses) for s in selections.values()],

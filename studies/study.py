@@ -1,8 +1,8 @@
 """A study is a page of text with tables and figures, and a folder that holds them.
 
-The page is Markdown and holds the tables; each table is also a CSV file, each figure an SVG and a
-PNG. What takes time on the machine at hand is shown in figures only, so that the same seed gives
-the same text and tables byte for byte.
+The page is Markdown and shows of each table what carries the verdict; the whole table is a CSV
+file, each figure an SVG and a PNG. What takes time on the machine at hand is shown in figures only,
+so that the same seed gives the same text and tables byte for byte.
 """
 
 from __future__ import annotations
@@ -56,11 +56,12 @@ class Study:
         """Add a paragraph."""
         self.parts.append(" ".join(text.split()))
 
-    def table(self, name: str, caption: str, columns: Columns) -> None:
-        """Add a table: headers with units to cells."""
-        kept = {header: list(cells) for header, cells in columns.items()}
-        self.tables[name] = kept
-        self.parts.append(f"{' '.join(caption.split())} (`tables/{name}.csv`)\n\n{markdown(kept)}")
+    def table(self, name: str, caption: str, columns: Columns, omitted: Sequence[str] = ()) -> None:
+        """Add a table: headers with units to cells; the omitted headers are in its file alone."""
+        self.tables[name] = {header: list(cells) for header, cells in columns.items()}
+        shown = {header: cells for header, cells in columns.items() if header not in omitted}
+        text = f"{' '.join(caption.split())} (`tables/{name}.csv`)"
+        self.parts.append(f"{text}\n\n{markdown(shown)}" if shown else text)
 
     def figure(self, name: str, caption: str, figure: Figure) -> None:
         """Add a figure."""

@@ -31,26 +31,21 @@ def cramer_rao(study: Study, ways: list[Way]) -> dict[str, tuple[float, float]]:
         own[way.name] = _axes([covariance[np.ix_(leg, leg)] for leg in legs])
     first = kinds[ways[0].name]
     gains = {name: (first[0] / one, first[1] / two) for name, (one, two) in kinds.items()}
+    columns: dict[str, list[Cell]] = {
+        "way": list(kinds),
+        "measured poses": [len(way.plan.poses) for way in ways],
+        "bound, parameters [m, rad, 1]": [one for one, _ in kinds.values()],
+        "gain": [one for one, _ in gains.values()],
+        "bound, axes [m, rad, 1]": [two for _, two in kinds.values()],
+        "gain by axes, each leg's own": [own[ways[0].name] / one for one in own.values()],
+        "gain by axes, full": [two for _, two in gains.values()],
+    }
     study.heading("What the poses can give")
-    study.table(
-        "cramer_rao_bounds",
-        """Cramér-Rao bound at the nominal mechanism: of estimators that identify leg by leg, and,
-        where whitened together, of the data. Geometric mean over all 24 parameters (m, rad and 1
-        alike), and over the principal axes of their ellipsoid, det^(1/2n), which D-optimality looks
-        at: of each leg's own determinant, and of the full one. They differ because the legs share
-        the noise of a pose: the full one knows the correlations between legs, which the product of
-        the legs' own determinants leaves out. Where each leg has poses of its own they are the
-        same. Gains are over the paper's.""",
-        {
-            "way": list(kinds),
-            "measured poses": [len(way.plan.poses) for way in ways],
-            "bound, parameters [m, rad, 1]": [one for one, _ in kinds.values()],
-            "gain": [one for one, _ in gains.values()],
-            "bound, axes [m, rad, 1]": [two for _, two in kinds.values()],
-            "gain by axes, each leg's own": [own[ways[0].name] / one for one in own.values()],
-            "gain by axes, full": [two for _, two in gains.values()],
-        },
-    )
+    caption = """Cramér-Rao bound at the nominal mechanism: of estimators that identify leg by leg,
+    and, where whitened together, of the data. Gains over the paper's, in the last table, are of the
+    geometric mean over all 24 parameters (m, rad and 1 alike), and of the principal axes of their
+    ellipsoid, det^(1/2n), as D-optimality has it, with the noise of a pose that the legs share."""
+    study.table("cramer_rao_bounds", caption, columns, list(columns))
     return gains
 
 
@@ -89,10 +84,9 @@ def asymmetry(study: Study, plan: pincal.Plan, count: int) -> None:
     )
     study.table(
         "asymmetry",
-        f"""The symmetric selection of the nominal mechanism on {count} machines whose parameters
-        are disturbed by σ, poses that they reach: largest change of any leg's O₁, and of any
-        |R_ii|, median of the machines and worst. The paper calls the change of the Jacobian
-        negligible.""",
+        f"""The nominal mechanism's symmetric selection on {count} machines disturbed by σ: largest
+        change of any leg's O₁, and of any |R_ii|, median of the machines and worst. The paper calls
+        the change of the Jacobian negligible.""",
         by_rows(headers, rows),
     )
 
@@ -118,12 +112,11 @@ def measure_accuracies(study: Study, ways: list[Way], poses: Array, count: int) 
     whole = [platform_rms(model, truth, poses) for model in (mechanism, one)]
     study.heading("Accuracy of the platform (Fig. 10)")
     study.say(
-        f"""{count} machines, parameters disturbed by σ = {SIGMA:g} m, rad and 1, noise of Eq.
-        23. Root
-        mean square over {len(some):,} of the poses, as median of the machines with the middle half.
-        {lost} calibrations did not converge. For the first machine, over all {len(poses):,}
-        poses: {1e3 * whole[0][0]:.3g} mm and {1e3 * whole[0][1]:.3g} mrad before,
-        {1e3 * whole[1][0]:.3g} mm and {1e3 * whole[1][1]:.3g} mrad after the paper's procedure."""
+        f"""{count} machines, parameters disturbed by σ = {SIGMA:g} m, rad and 1, noise of Eq. 23;
+        {lost} calibrations did not converge. Root mean squares over {len(some):,} poses, medians of
+        the machines. The first machine, over all {len(poses):,} poses: {1e3 * whole[0][0]:.3g} mm
+        and {1e3 * whole[0][1]:.3g} mrad before, {1e3 * whole[1][0]:.3g} mm and
+        {1e3 * whole[1][1]:.3g} mrad after the paper's procedure."""
     )
     columns: dict[str, list[Cell]] = {"way": list(after)}
     for place, what, unit in ((0, "position", "mm"), (1, "orientation", "mrad")):
@@ -131,7 +124,8 @@ def measure_accuracies(study: Study, ways: list[Way], poses: Array, count: int) 
             columns[f"{what}{name} [{unit}]"] = [
                 float(1e3 * np.percentile(v[:, place], level)) for v in after.values()
             ]
-    study.table("fig_10_accuracy", "Errors of the platform before and after calibration.", columns)
+    caption, quarters = "Errors of the platform.", [one for one in columns if "quarter" in one]
+    study.table("fig_10_accuracy", caption, columns, quarters)
     figure, panels = drawing.panels(2, 12, 4.6)
     for place, unit in enumerate(("position [mm]", "orientation [mrad]")):
         axes = panels[place]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import csv
 import inspect
 import re
 import runpy
@@ -144,19 +145,25 @@ def made() -> set[str]:
     return {call.args[0].value for call in calls}
 
 
+def table_of(name: str) -> dict[str, list[str]]:
+    """Return the rows of a table of the page of errors, which shows it, by their first cells."""
+    page = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
+    assert f":file: tables/{name}.csv\n" in page
+    text = (ROOT / "docs" / "tables" / f"{name}.csv").read_text(encoding="utf-8")
+    return {first: row for first, *row in list(csv.reader(text.replace("`", "").splitlines()))[1:]}
+
+
 def test_every_finding_is_explained() -> None:
     """The page has each code with severity, meaning and remedy, and what each value of it is.
 
     What the source finds has a code.
     """
-    text = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
-    page, _, values = text.partition("## Values of findings")
-    rows = dict(re.findall(r"^\| `([a-z0-9-]+)` \|(.*)$", page, re.MULTILINE))
+    rows, values = (table_of(name) for name in ("findings", "finding_values"))
     assert set(rows) == set(WORDINGS)
-    names = set[str]().union(*map(values_of, WORDINGS))
-    assert set(re.findall(r"^\| `(\w+)` \| \S", values, re.MULTILINE)) == names
+    assert set(values) == set[str]().union(*map(values_of, WORDINGS))
+    assert all(map(any, values.values()))
     for code, one in WORDINGS.items():
-        severity, means, advice = rows[code].replace("`", "").strip(" |").split(" | ")
+        _, severity, means, advice = rows[code]
         assert severity == one.severity
         assert means.endswith(".")
         assert advice == f"{one.remedy}." if one.remedy and "{" not in one.remedy else advice
