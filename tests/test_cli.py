@@ -866,6 +866,19 @@ def test_what_is_typed_wrong_at_length_is_said_short(words: list[str]) -> None:
     assert 20 < len(outcome.err) <= 1500
 
 
+@pytest.mark.parametrize(
+    "line",
+    ["measure 5R --session --terminal", "select 5R --sheet -o plan.csv", "inverse 5R a.csv -o -h"],
+)
+def test_an_option_is_not_the_value_of_another(line: str, work: Path) -> None:
+    """Who forgets a value is told so; nothing is named after the option behind."""
+    before = contents(work)
+    outcome = run(*line.split())
+    assert outcome.code == 2
+    assert re.search(r"(--session|--sheet|-o) takes a value, and -\S+ is an option", outcome.err)
+    assert contents(work) == before
+
+
 def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
     """Noise given far too small: all files are written, exit code 1."""
     small = ["--noise-position", 1e-7, "--noise-orientation", 1e-7, "--folds", 0]

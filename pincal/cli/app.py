@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from functools import cache, wraps
+from itertools import pairwise
 from pathlib import Path
 from threading import Event, Thread, current_thread, main_thread
 from time import monotonic
@@ -26,7 +27,7 @@ from typing import Annotated, Any, NoReturn
 import numpy as np
 import typer
 from rich.console import Console
-from typer.core import TyperArgument
+from typer.core import TyperArgument, TyperCommand, TyperOption
 
 from pincal import __version__
 from pincal.cli.options import filled, option_parameters
@@ -105,6 +106,19 @@ def _main(
 _Quiet = Annotated[bool, typer.Option("--quiet", help="Print only warnings and errors.")]
 
 
+class _Command(TyperCommand):
+    """A command whose options take no other option as their value."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse what was typed behind the command's name."""
+        options = (param for param in self.params if isinstance(param, TyperOption))
+        valued = {name for option in options if not option.is_flag for name in option.opts}
+        for option, value in pairwise(args):
+            if option in valued and re.match("--?[a-z]", value):
+                raise typer.BadParameter(f"{option} takes a value, and {value} is an option", ctx)
+        return super().parse_args(ctx, args)
+
+
 def command(function: Callable[..., None]) -> Callable[..., None]:
     """Register a function as a command with ``--quiet``.
 
@@ -129,7 +143,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
 
     run.__signature__ = inspect.Signature(offered)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in offered}
-    app.command(function.__name__.rstrip("_"))(run)  # import_ is a command too
+    app.command(function.__name__.rstrip("_"), cls=_Command)(run)  # import_ is a command too
     return function
 
 

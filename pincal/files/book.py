@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -13,33 +12,38 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import FileError, MeasurementError
 from pincal.files.text import LARGEST_FILE, Numeral, plain_number, read_bytes
 
 if TYPE_CHECKING:
     import openpyxl
+    import xlsxwriter
 else:
-    openpyxl = lazy_loader.load("openpyxl")
+    openpyxl, xlsxwriter = map(lazy_loader.load, ("openpyxl", "xlsxwriter"))
 
-os.environ.setdefault("OPENPYXL_LXML", "False")  # lxml's writer makes riddles of full disks
 MOST_COLUMNS, _MOST_ROWS = 1000, 2**20
-_TO_MEASURE = "FFF2CC"  # colour of cells to fill in
 
 
 def write_book(path: Path, rows: Sequence[Sequence[str]]) -> None:
-    """Write rows of text to an .xlsx file, the first bold, cells to measure coloured."""
-    book: Any = openpyxl.Workbook()
-    book.active.title, book.active.freeze_panes = "measure", "A2"
-    for number, texts in enumerate(rows, start=1):
-        for column, (text, head) in enumerate(zip(texts, rows[0], strict=True), start=1):
-            value = plain_number(text)
-            cell = book.active.cell(number, column, value if np.isfinite(value) else text or None)
-            if number == 1:
-                cell.font = openpyxl.styles.Font(bold=True)
-                book.active.column_dimensions[cell.column_letter].width = max(8, len(head) + 2)
-            elif not text and "[" in head:
-                cell.fill = openpyxl.styles.PatternFill("solid", fgColor=_TO_MEASURE)
-    book.save(path)
+    """Write rows of text to an .xlsx file, the first bold, cells to measure coloured.
+
+    The file is made in memory: only ``path`` is written. A table that is too large for a sheet is
+    a FileError.
+    """
+    data, as_text = io.BytesIO(), {"strings_to_formulas": False, "strings_to_urls": False}
+    with xlsxwriter.Workbook(data, {"in_memory": True, **as_text}) as book:
+        sheet = book.add_worksheet("measure")
+        sheet.freeze_panes(1, 0)
+        bold, to_measure = book.add_format({"bold": True}), book.add_format({"bg_color": "#FFF2CC"})
+        for column, head in enumerate(rows[0]):
+            sheet.set_column(column, column, max(8, len(head) + 2))
+            for number, text in enumerate(texts[column] for texts in rows):
+                style = to_measure if not text and "[" in head else None
+                value = plain_number(text)
+                cell = value if np.isfinite(value) else text
+                if sheet.write(number, column, cell, style if number else bold):
+                    raise FileError(f"a sheet holds {_MOST_ROWS} rows at most; name a .csv file")
+    path.write_bytes(data.getvalue())
 
 
 def sheet_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
