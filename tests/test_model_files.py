@@ -374,22 +374,53 @@ def test_mjcf_without_a_direction_is_refused(axis: str, quaternion: str, tmp_pat
         read_mjcf(file)
 
 
-def test_a_site_named_as_a_body_is_another_link(tmp_path: Path) -> None:
-    """MuJoCo's own forward kinematics place both; which of them was read is said."""
+def test_a_site_named_as_a_body_or_a_joint_is_another_link(tmp_path: Path) -> None:
+    """MuJoCo's own forward kinematics place all; which of two was read is said."""
     (tmp_path / "cup.xml").write_text(
         """<mujoco><worldbody><body name="arm" pos="0.1 0 0.3"><joint name="a" axis="0 1 0"/>
         <geom size="0.01"/><body name="cup" pos="0.2 0 0"><joint name="b" axis="0 0 1"/>
-        <geom size="0.01"/><site name="cup" pos="0 0.05 0.1"/></body></body></worldbody></mujoco>"""
+        <geom size="0.01"/><site name="cup" pos="0 0.05 0.1"/><site name="b"/></body></body>
+        </worldbody></mujoco>"""
     )
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "cup.xml"))
     data = mujoco.MjData(model)
     data.qpos[:] = (0.3, -0.4)
     mujoco.mj_kinematics(model, data)
-    for tip, place in (("cup", data.body("cup").xpos), ("cup_site", data.site("cup").xpos)):
+    ways = {"cup": data.body("cup"), "cup_site": data.site("cup"), "b": data.site("b")}
+    for tip, frame in ways.items():
         outcome = done("import", tmp_path / "cup.xml", "--tip", tip, "-o", tmp_path / tip)
         assert "'cup' is a body here; the site of that name is 'cup_site'" in outcome.err
         pose = pincal.forward(load_mechanism(tmp_path / tip), data.qpos[None]).poses[0]
-        np.testing.assert_allclose(pose[:3], place, atol=1e-12)
+        np.testing.assert_allclose(pose[:3], frame.xpos, atol=1e-12)
+
+
+FINGERS = """<robot name="f"><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
+<joint name="hand" type="revolute"><parent link="a"/><child link="d"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+<joint name="j1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+<origin xyz="0 0.2 0"/><limit lower="-1" upper="0" effort="1" velocity="1"/>
+<mimic joint="hand" multiplier="0.5"/></joint>
+<joint name="j2" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 1 0"/>
+<origin xyz="0.3 0 0.1"/><limit lower="-1" upper="1" effort="1" velocity="1"/>
+<mimic joint="hand" multiplier="-1" offset="0.1"/></joint></robot>"""
+
+
+def test_joints_that_follow_one_off_the_way_follow_the_first(tmp_path: Path) -> None:
+    """A finger's joints follow the hand's: the first is read, and said; Pinocchio places the tip.
+
+    The limits of all three leave no place to the hand, and are no reason to refuse the finger.
+    """
+    (tmp_path / "f.urdf").write_text(FINGERS)
+    outcome = done("import", tmp_path / "f.urdf", "--tip", "c", "-o", tmp_path / "f")
+    assert "'j1' follows 'hand', not on the way to the tip: it is read" in outcome.err
+    arm, model = load_mechanism(tmp_path / "f"), pin.buildModelFromXML(FINGERS)
+    hand, data = np.array([-0.4, -1.6]), model.createData()
+    poses = pincal.forward(arm, 0.5 * hand[:, None]).poses
+    for value, T in zip(hand, arm.platform.transforms(poses).as_matrix(), strict=True):
+        q = {"hand": value, "j1": 0.5 * value, "j2": 0.1 - value}
+        pin.framesForwardKinematics(model, data, np.array([q[name] for name in model.names[1:]]))
+        expected = data.oMf[model.getFrameId("c")].homogeneous
+        np.testing.assert_allclose(T, expected, atol=1e-12)
 
 
 def test_an_arm_that_floats_stands_on_the_base_that_is_named(tmp_path: Path) -> None:

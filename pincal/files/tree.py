@@ -165,24 +165,27 @@ def with_ranges(tree: Tree) -> Tree:
 def coupled(tree: Tree) -> Tree:
     """Return a tree whose joints follow such as move on their own, driven ones where there are.
 
-    What follows what is one freedom, within the limits of all; of several drives the first is read.
+    What follows what is one freedom, within the limits of all if these leave any; of several drives
+    the first is read, and what follows an absent joint follows the first of its kind.
     """
     joints = {edge.joint.name: edge.joint for edge in tree.edges}
-    laws = {name: _followed(joints, name) for name in joints}
-    for leader in joints.keys() & {laws[name].joint for name in tree.geared & joints.keys()}:
+    laws, led = {name: _followed(joints, name) for name in joints}, set[str]()
+    for leader in {laws[name].joint for name in tree.geared & joints.keys()}:
         group = [name for name in joints if laws[name].joint == leader]
-        first = next((name for name in group if name in tree.active), leader)
-        lead, ends = laws[first], list[Array]()
+        driven = [name for name in group if name in tree.active]
+        first = min(group, key=(*driven, leader, *group).index)
+        law_of_first, ends, led = laws[first], list[Array](), led | {*group} - {first}
         for name in group:
-            ratio = laws[name].ratio / lead.ratio
-            law = Follows(first, ratio, laws[name].offset - ratio * lead.offset)
+            ratio = laws[name].ratio / law_of_first.ratio
+            law = Follows(first, ratio, laws[name].offset - ratio * law_of_first.offset)
             limits = np.array([joints[name].lower, joints[name].upper])
             ends.append(np.sort((limits - law.offset) / ratio))
             joints[name] = replace(joints[name], follows=None if name == first else law)
         lower, upper = np.max(ends, axis=0)[0], np.min(ends, axis=0)[1]
-        joints[first] = replace(joints[first], lower=float(lower), upper=float(upper))
+        if lower < upper:
+            joints[first] = replace(joints[first], lower=float(lower), upper=float(upper))
     edges = tuple(replace(edge, joint=joints[edge.joint.name]) for edge in tree.edges)
-    active = tuple(n for n in tree.active if n not in joints or joints[n].follows is None)
+    active = tuple(name for name in tree.active if name not in led)
     return replace(tree, edges=edges, active=active)
 
 

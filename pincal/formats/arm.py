@@ -42,7 +42,10 @@ def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
 
 
 def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
-    """Return the serial arm between two links of a tree; loops are left out."""
+    """Return the serial arm between two links of a tree; loops are left out.
+
+    A joint that follows one off the way is read itself.
+    """
     tree = coupled(tree)
     foot = tree.root if base is None else tree.link(base, "the base")
     steps = route(tree.edges, foot, tree.link(tip, "the tip"))
@@ -60,16 +63,24 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
     tree.check_joints(names)
     text = f"Serial arm to {tip} of {Path(tree.source).name}."
     with located(tree.source, MechanismError):
-        return arm(re.sub(r"\W", "_", tree.name), tuple(joints_along(tree, steps)), text)
+        way = coupled(replace(tree, edges=tuple(edge for edge, _ in steps)))
+        joints = tuple(edge.joint for edge in way.edges)
+        return arm(re.sub(r"\W", "_", tree.name), joints, text)
 
 
 def left_open(tree: Tree, mechanism: Mechanism) -> tuple[str, ...]:
-    """Return a sentence on loops of a file that hold joints of a serial arm, if there are any."""
+    """Return sentences on what a file says of a serial arm's joints and others, and is left out."""
     joints = {joint.name for joint in mechanism.legs[0].moving}
+    along = [edge.joint for edge in tree.edges if edge.joint.name in joints]
+    free = [
+        f"{joint.name!r} follows {joint.leader.joint!r}, not on the way to the tip: it is read"
+        for joint in along
+        if joint.leader.joint not in joints
+    ]
     ways = {loop.joint.name: route(tree.edges, loop.parent, loop.child) for loop in tree.loops}
     held = [name for name, way in ways.items() if joints & {edge.joint.name for edge, _ in way}]
     text = f"{listed(held)}: loops of the arm's joints are left open; all of these are read"
-    return (text,) * bool(held)
+    return (*free, *(text,) * bool(held))
 
 
 def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
-from pincal.files.tree import Edge, Tree, at_home, turns, with_ranges
+from pincal.files.tree import Edge, Tree, at_home, root_of, turns, with_ranges
 from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.kinematics.assembly import assembled
 from pincal.model.checks import LARGEST
@@ -59,7 +59,8 @@ def read_mjcf(path: Path) -> Tree:
         name, placement = model.site(i).name, _pose(model.site_pos[i], model.site_quat[i])
         site = name + "_site" * (name in links)
         if name and site not in links:
-            edges.append(Edge(Joint(site, "fixed", placement_of(placement)), links[body], site))
+            joint = Joint(site + "_fixed" * (site in joints), "fixed", placement_of(placement))
+            edges.append(Edge(joint, links[body], site))
         if name in carriers and not (links[body] == name and np.allclose(placement, np.eye(4))):
             remarks[carriers[name]] = f"{name!r} is a body here; the site of that name is {site!r}"
     of_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -69,7 +70,7 @@ def read_mjcf(path: Path) -> Tree:
     tree = Tree(
         name=title or path.stem,
         source=str(path),
-        root=links[0],
+        root=root_of(edges, links, str(path)),
         edges=at_home(tuple(edges), _home(model, joints)),
         loops=tuple(_loops(model, links)),
         active=tuple(dict.fromkeys(joints[i] for i in driven)),
