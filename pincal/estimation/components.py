@@ -1,10 +1,10 @@
-"""Variance components: of the noise by its groups, and of machines from their drawing.
+"""Variance components: of the noise by groups, and of machines about their drawing.
 
-With white rows r = L⁻¹Nᵀe of covariance Σ_g s_g V_g, V_g = U_g U_gᵀ the part of group g, and M the
-projection on what parameters do not take up, the expectation of rᵀ M V_g M r is Σ_h F_gh s_h,
-F_gh = tr(M V_g M V_h). Solved for s, and repeated with the rows whitened by it, that is the
+White rows r = L⁻¹Nᵀe have the covariance Σ_g s_g V_g, V_g = U_g U_gᵀ by the noise of group g. With
+the projection M on the complement of the Jacobian's range, rᵀ M V_g M r has the expectation
+Σ_h F_gh s_h, F_gh = tr(M V_g M V_h). Solving for s, and repeating with rows whitened by it, is the
 restricted maximum likelihood estimator (Patterson and Thompson 1971; Helmert, in geodesy); its
-covariance is 2 F⁻¹. How far machines differ from their drawing is found by the evidence.
+covariance is 2 F⁻¹. How far machines differ from their drawing is estimated by the evidence.
 """
 
 from __future__ import annotations
@@ -23,40 +23,39 @@ from pincal.model.measurements import Noise
 from pincal.types import Array, Index, Mask
 
 GROUPS = {"m": 0, "rad": 1, "px": 3}
-"""Places of groups by the unit of what was measured: pixels are the last, where cameras see."""
-_R = 2  # of readings
-_BEFOREHAND = 1.0  # spread of variances about what is assumed of them, over the largest
-_TIED = 1e-6  # the same where that is not to be left
-_SENSOR = 0.25  # how far a sensor's own noise moves the platform, over the noise of that
-_SENSORS_ONLY = 3.0  # the same from which noise of readings is rather what the model lacks
-PLAUSIBLE = 3.0  # standard deviation of readings over that assumed: sensors are rarely noisier
-_LARGEST_STEP = 10.0  # factor by which a variance changes at once, at most
-_SMALLEST = 1e-3  # standard deviation of readings over the largest, each over its unit, not exact
+"""Groups of measured quantities by their unit; pixels are the last group, if cameras see."""
+_R = 2  # the group of the readings
+_BEFOREHAND = 1.0  # prior spread of a variance about the assumed one, over the largest variance
+_TIED = 1e-6  # the same where the assumed ratio is to hold
+_SENSOR = 0.25  # platform motion by noise of tied readings, over the platform's own noise
+_SENSORS_ONLY = 3.0  # the same ratio above which noise of readings is rather a misfit of the model
+PLAUSIBLE = 3.0  # standard deviation of readings over the assumed one: sensors are rarely noisier
+_LARGEST_STEP = 10.0  # largest factor by which a variance changes in a round
+_SMALLEST = 1e-3  # floor of the readings' noise over the largest noise, each over its assumed one
 _ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
 
-Tie = tuple[int, float]  # the group of what was measured, and how much of its noise a sensor has
+Tie = tuple[int, float]  # a group, and the ratio of the readings' noise to the group's noise
 
 
 @dataclass(frozen=True)
 class Moments:
-    """What residuals of fits say of the variances of g groups: see ``_relative``."""
+    """Moments of the residuals of fits for the variances of g groups."""
 
     F: Array
-    """Shape (g, g), of variances relative to the assumed ones."""
+    """F_gh for variances relative to those at which the fits were made, shape (g, g)."""
     q: Array
     """rᵀ M V_g M r, shape (g,)."""
     scale: float
     """χ² over degrees of freedom."""
     parts: tuple[tuple[Array, Array, Array], ...]
-    """Of each fit V_g Q, Q R = J, shape (g, n_good, m, n_free); Qᵀ V_g Q, (g, n_free, n_free); and
-    R⁻ᵀ Tᵀ, whose columns squared are variances of unknowns, (n_free, n)."""
+    """For each fit, with Q R = J: V_g Q, shape (g, n_good, m, n_free); Qᵀ V_g Q, (g, n_free,
+    n_free); and R⁻ᵀ Tᵀ, whose squared columns are the unknowns' variances, (n_free, n)."""
 
     @classmethod
     def of(cls, fits: Sequence[Fit], reading: float) -> Moments:
-        """Return the moments of fits of groups of legs, at the noise in question.
+        """Return the moments of fits, one for each group of legs, at their noise.
 
-        What parameters take up is projected out. The noise of readings is relative to one, [rad] or
-        [m].
+        The variance of readings is relative to the square of ``reading``, [rad] or [m].
         """
         F, q, parts = zip(*(_moments(fit, reading) for fit in fits), strict=True)
         dof = max(sum(fit.degrees_of_freedom for fit in fits), 1)
@@ -68,13 +67,13 @@ class Moments:
         return not self.scale > _ROUNDING**2
 
     def information(self, assumed: Array) -> Array:
-        """Return the information on variances, with that assumed beforehand, shape (g, g)."""
+        """Return the information on variances, that of the assumptions included, shape (g, g)."""
         return self.F / (2.0 * max(self.scale, 1e-300) ** 2) + assumed
 
     def variances(self, assumed: Array) -> Array:
-        """Return the likeliest variances of groups, none below zero, relative, shape (g,).
+        """Return the likeliest relative variances of groups, none below zero, shape (g,).
 
-        Where residuals say little, by the information that is assumed beforehand.
+        ``assumed`` is the prior information, which decides where residuals say little.
         """
         information = self.information(assumed)
         size = 1.0 / np.sqrt(np.diagonal(information))
@@ -89,10 +88,10 @@ class Moments:
         return np.asarray(size * nnls(R, np.linalg.solve(R.T, right))[0])
 
     def off_zero(self, *, exact: bool) -> Moments:
-        """Return moments by which no variance is zero; that of readings if these may be exact.
+        """Return moments by which no variance is zero, except that of readings that may be exact.
 
-        The likelihood is taken times each standard deviation over their mean, expanded here: few
-        rows may leave a group no variance, and it is no less noisy for that (Y. Chung et al.,
+        The likelihood is multiplied by each standard deviation over their mean (expanded here):
+        from few rows a variance may be estimated as zero although there is noise (Y. Chung et al.,
         Psychometrika 2013).
         """
         weights = np.maximum(np.diagonal(self.F), 0.0)
@@ -102,10 +101,10 @@ class Moments:
         return replace(self, F=self.F + np.diag(noisy), q=self.q + pulled)
 
     def freedoms(self, covariance: Array) -> tuple[Array, ...]:
-        """Return of each fit the degrees of freedom of the unknowns' variances, shape (n,).
+        """Return for each fit the degrees of freedom of the unknowns' variances, shape (n,).
 
-        A variance is v = Σ_g s_g v_g, v_g the part of group g: 2 v² / var(v), var(v) = vᵀ cov(s) v
-        (Satterthwaite 1946); the covariance is that of the relative variances, shape (g, g).
+        A variance v = Σ_g s_g v_g, v_g by group g, has 2 v² / var(v), var(v) = Σ_gh cov(s)_gh v_g
+        v_h (Satterthwaite 1946). ``covariance`` is that of the relative variances, shape (g, g).
         """
         freedoms = []
         for _, P, by_rows in self.parts:
@@ -116,7 +115,7 @@ class Moments:
         return tuple(freedoms)
 
     def widenings(self, covariance: Array) -> list[Array]:
-        """Return of each fit what its covariance lacks if the noise was estimated, shape (n, n).
+        """Return for each fit what estimating the noise adds to its covariance, shape (n, n).
 
         Weights by estimated variances spread the estimate by Λ = Σ_gh cov(s)_gh Qᵀ V_g M V_h Q, and
         the covariance at the estimate is as much too small: 2 Λ (Kenward and Roger 1997).
@@ -133,17 +132,17 @@ class Moments:
 def assumed_information(
     noise: Noise, unit: Noise, scale: float, *, exact: bool, tie: Tie | None = None
 ) -> Array:
-    """Return what is assumed of variances before residuals are seen, as information, shape (g, g).
+    """Return the prior information on relative variances, shape (g, g).
 
-    Those of positions and orientations are alike, each over its unit; readings are exact, or alike
-    too where they cannot be exact, or tied to others.
+    Positions and orientations are assumed to have equal variances, each over its unit; readings to
+    be exact, or to have an equal variance, too, where they cannot be exact, or to be tied.
 
     Args:
         noise: Standard deviations to which variances are relative.
-        unit: Those that are assumed to be alike.
+        unit: Assumed standard deviations, the units of the groups.
         scale: χ² over degrees of freedom.
         exact: Whether readings may be exact.
-        tie: To whose noise that of readings is tied, see ``tie_of``.
+        tie: The noise to which that of readings is tied, see ``tie_of``.
     """
     sizes, ratio = _relative(noise, unit)
     largest = ratio[: 3 if noise.reading > 0.0 else 2].max() * max(scale, 1e-300)
@@ -162,7 +161,7 @@ def assumed_information(
 def _relative(noise: Noise, unit: Noise) -> tuple[Array, Array]:
     """Return standard deviations of groups, and variances over the squares of their units, (g,).
 
-    Positions, orientations, readings and, where cameras see, pixels.
+    The groups are positions, orientations, readings and, where cameras see, pixels.
     """
     count = 4 if noise.pixel else 3
     sizes = [noise.position, noise.orientation, noise.reading or unit.reading, noise.pixel]
@@ -176,17 +175,17 @@ def estimated_noise(
     """Return the noise that residuals show.
 
     Args:
-        moments: Of fits at some noise.
-        noise: That noise.
+        moments: Moments of fits.
+        noise: The noise at which the fits were made.
         reading: Standard deviation to which that of readings is relative, [rad] or [m].
-        unit: Standard deviations that are assumed to be alike.
+        unit: Assumed standard deviations, the units of the groups.
         exact: Whether readings may be exact.
         tie: See ``tie_of``.
     """
     assumed = assumed_information(noise, unit, moments.scale, exact=exact, tie=tie)
     _, ratio = _relative(noise, unit)
     least = np.full(len(ratio), moments.scale / _LARGEST_STEP)
-    least[_R] *= noise.reading > 0.0  # of a size that is not known yet
+    least[_R] *= noise.reading > 0.0  # else its size is not known yet
     variance = moments.off_zero(exact=exact).variances(assumed)
     variance = np.clip(variance, least, moments.scale * _LARGEST_STEP)
     floor = _SMALLEST**2 * (ratio * variance).max() / ratio[_R]
@@ -198,9 +197,9 @@ def estimated_noise(
 
 
 def with_exact_readings(fits: Sequence[Fit], noise: Noise, unit: Noise) -> list[Fit]:
-    """Return fits whose readings show no noise where theirs, of that estimated, is at its floor.
+    """Return fits that count no degrees of freedom for readings whose noise is at its floor.
 
-    The unit is noise that is assumed to be alike.
+    ``unit`` is the assumed noise, the units of the groups.
     """
     _, ratio = _relative(noise, unit)
     if not noise.reading > 0.0 or ratio[_R] > (1.0 + _TIED) * _SMALLEST**2 * ratio.max():
@@ -210,13 +209,14 @@ def with_exact_readings(fits: Sequence[Fit], noise: Noise, unit: Noise) -> list[
 
 
 def tie_of(fit: Fit, noise: Noise, plausible: float = 0.0) -> Tie | None:
-    """Return to which noise that of readings is tied if it moves what was measured much farther.
+    """Return the group to whose noise that of readings is tied, or None if it is free.
 
-    What the model lacks looks like noise of the readings, and poses near singularities would
-    then judge the model. It belongs to what was measured of the platform: only repeated rows may
-    show sensors that are noisier than plausible, [rad] or [m]. None is, and none moves it a quarter
-    as far, where residuals say that the model lacks something. Cameras show what pixels move. None
-    if noise is known, poses are as measured, or nothing was.
+    Errors of the model look like noise of the readings, and poses near singularities would then
+    decide the fit. So they are attributed to the measurements of the platform if the readings'
+    noise is more than ``plausible``, [rad] or [m], and moves the platform three times as far as the
+    platform's own noise; a quarter as far where residuals say that the model lacks something
+    (``plausible`` 0). With cameras alone that is motion in the image. Noise is free if it is known
+    or shown by repeated rows, if poses are taken as measured, or if nothing else was measured.
     """
     problem, linear, n_legs = fit.problem, fit.last, fit.problem.leg_block.n_rows
     if fit.system.known or not problem.latent:
@@ -242,7 +242,7 @@ def tie_of(fit: Fit, noise: Noise, plausible: float = 0.0) -> Tie | None:
 
 
 def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array, Array]]:
-    """Return what a fit says of the variances of groups: F and q of ``Moments``, and a part."""
+    """Return F, q and an element of ``parts`` of ``Moments`` for one fit."""
     rows, Q = fit.good, fit.Q
     V = _of_groups(fit.last, reading)[:, rows]
     residuals = fit.last.residuals[rows] - Q @ fit.normal.c
@@ -255,7 +255,7 @@ def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array
 
 
 def _of_groups(linear: Linear, reading: float) -> Array:
-    """Return the covariances V_g of white rows by the noise of groups, shape (g, N, m, m)."""
+    """Return the covariances V_g of white rows by the noise of each group, (g, N, m, m)."""
     problem, n_legs = linear.problem, linear.problem.leg_block.n_rows
     n_readings = problem.leg_block.n_readings
     by_reading = np.zeros((*problem.active.shape, n_readings))
@@ -275,8 +275,8 @@ def predicted_squares(
     """Return rᵀ V⁻¹ r of rows held out of a fit, and tr V⁻¹ V_g, shape (g,).
 
     Their white residuals r have the covariance V = 1 + A Aᵀ, A = J Wᵀ by the orthonormal unknowns
-    of the fit, of which V_g = D_g + A P_g Aᵀ is by the noise of group g: see ``Moments``. By the
-    singular values of A, large ones cancel nothing.
+    of the fit, and V_g = D_g + A P_g Aᵀ by the noise of group g: see ``Moments``. The inverse is by
+    the singular values of A, so that large ones do not cancel.
     """
     _, P, W = part
     r, D = held.residuals[rows], _of_groups(held, reading)[:, rows]
@@ -290,20 +290,20 @@ def predicted_squares(
 
 
 class Evidence(NamedTuple):
-    """White rows at an optimum, and deviations of groups from nominal values."""
+    """White rows at an optimum, and k deviations of parameters from nominal values, in groups."""
 
     triangle: Array
-    """R of the rows beside their residuals, other priors included, shape (n + 1, n + 1)."""
+    """R of the rows and their residuals, other priors included, shape (n + 1, n + 1)."""
     deviations: Array
-    """T: how deviations follow the unknowns, shape (k, n)."""
+    """T: derivatives of the deviations by the free unknowns, shape (k, n)."""
     offsets: Array
     """d: deviations at the optimum, shape (k,)."""
     groups: Index
-    """The group of each, from 0, shape (k,)."""
+    """The group of each deviation, from 0, shape (k,)."""
 
     @classmethod
     def of(cls, fit: Fit, groups: dict[str, int]) -> Evidence:
-        """Return what a fit says of groups of its parameters, by their ids, less their priors."""
+        """Return the evidence of a fit for groups of parameter ids, without their priors."""
         labels, unknowns = fit.unknowns.labels, fit.unknowns
         places = [place for place, id_ in enumerate(labels) if id_ in groups]
         priors = unknowns.priors.copy()
@@ -317,7 +317,7 @@ class Evidence(NamedTuple):
         )
 
     def deviance(self, sizes: Array) -> float:
-        """Return minus twice the log evidence of sizes τ of the groups, but for a constant."""
+        """Return minus twice the log evidence of sizes τ of the groups, up to a constant."""
         n, weights = len(self.triangle) - 1, 1.0 / sizes[self.groups]
         prior = weights[:, None] * np.column_stack((self.deviations, self.offsets))
         every = np.abs(np.diagonal(np.linalg.qr(np.concatenate((self.triangle, prior)), mode="r")))
@@ -328,17 +328,17 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True)
 class FoundTolerance:
-    """By how much parameters of one unit differ from the drawing."""
+    """How far the parameters of one unit differ from the drawing."""
 
     unit: str
     """``"m"``, ``"rad"`` or ``"1"``."""
     size: float
-    """Standard deviation of the parameters, [unit]; infinite where measurements do not say it."""
+    """Standard deviation of the parameters, [unit]; infinite if it is not determined."""
     low: float
     high: float
     """Ends of its 95 % interval; 0 where the drawing may be exact, infinite without an end."""
     count: int
-    """Parameters of this unit without a prior of their own."""
+    """Number of parameters of this unit without a given prior."""
 
 
 def likeliest(
@@ -346,19 +346,18 @@ def likeliest(
 ) -> tuple[Array, Array]:
     """Return the likeliest sizes of groups, (k,), and the ends of their intervals, shape (k, 2).
 
-    The evidence times each of the sizes is largest, which none that is zero can be (Y. Chung et
-    al., Psychometrika 2013), but they are not beyond the intervals. These hold 95 %, by the
-    likelihood's profile: 0 where no size is as likely, infinite without an upper end. The deviance
-    of k deviations is a little more than χ² distributed: 1 + 1 / 3k times, exactly so where they
-    are seen without noise (M. S. Bartlett 1937).
+    Sizes maximise the evidence times each size, so that none is zero (Y. Chung et al.,
+    Psychometrika 2013), but lie within their intervals. These are 95 % profile-likelihood
+    intervals: from 0 where a size of zero is likely enough, infinite without an upper end. The
+    deviance of k deviations is 1 + 1 / 3k times χ² (M. S. Bartlett 1937), exactly so without noise.
 
     Args:
         parts: Independent evidence.
         start: Where the search starts, shape (k,).
-        within: Smallest and largest sizes that mean something, shape (k,) each.
-        rise: Of the deviance, to the ends of intervals, were it χ² distributed.
+        within: Smallest and largest meaningful sizes, shape (k,) each.
+        rise: Rise of the deviance to the ends of the intervals if it were χ² distributed.
     """
-    from scipy.optimize import brentq, minimize  # slow to load: when needed
+    from scipy.optimize import brentq, minimize  # slow to load
 
     low, high = (np.log(sizes) for sizes in within)
     counts = np.zeros(len(start))
@@ -368,7 +367,7 @@ def likeliest(
             counts[group] += np.linalg.matrix_rank(of_group, rtol=RANK_TOLERANCE)
 
     def least(begin: Array, held: int | None = None, penalty: float = 0.0) -> tuple[Array, float]:
-        """Return where the deviance is least, one logarithm held, and its value there."""
+        """Return the logarithms of least deviance, one of them held, and the deviance."""
         free = np.arange(len(begin)) != held
 
         def cost(values: Array) -> float:

@@ -1,4 +1,4 @@
-"""The fit of one problem: the search, and what is known at its end: covariance, rank, χ²."""
+"""The fit of one problem: the search, then covariance, rank and χ² at its end."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ class Outlier:
     """A row of the measurements that does not fit the others."""
 
     row: int
-    """Counted from 0."""
+    """Index of the row, from 0."""
     legs: tuple[str, ...]
-    """Legs in whose fit it does not fit."""
+    """Legs in whose fit the row does not fit."""
     sigma: float
-    """Its residual in standard deviations: that of one residual as unlikely as its χ²."""
+    """Misfit of the row, in σ: the size of a single normal residual as unlikely as the row's χ²."""
     weight: float
-    """With which it took part, from 1 down to 0: rejected."""
+    """Weight of the row in the fit, from 1 to 0 (rejected)."""
     quantity: str
-    """Which of its residuals is largest."""
+    """The quantity with the largest residual."""
     off: float
-    """That residual in standard deviations."""
+    """The largest residual in standard deviations."""
 
 
 @dataclass(frozen=True)
 class Fit(SolverResult):
-    """Optimum of a problem, and what is known about it.
+    """The optimum of a problem with its covariance.
 
-    It follows its rows ρ by δz = −B⁻¹ Σ ψ' Jᵀ ρ, of covariance B⁻¹ M B⁻¹.
+    An error ρ of the rows moves it by δz = −B⁻¹ Σ ψ' Jᵀ ρ; its covariance is B⁻¹ M B⁻¹.
     """
 
     system: System
@@ -52,12 +52,12 @@ class Fit(SolverResult):
     outliers: tuple[Outlier, ...] = ()
     """Rows that did not fit, the worst first."""
     widening: Array | float = 0.0
-    """What noise and tolerances that were estimated add to the covariance, shape (n, n)."""
+    """Added to the covariance because noise and tolerances were estimated, shape (n, n)."""
     exact: int = 0
-    """Degrees of freedom of readings whose estimated noise is at its floor: they show no noise."""
+    """Degrees of freedom of readings whose estimated noise is at its floor (exact readings)."""
 
     def at_noise_of(self, problem: Problem) -> Fit:
-        """Return the fit with its problem at other noise: to first order it needs no new search."""
+        """Return the fit of a problem with other noise, to first order without a new search."""
         system, last = replace(self.system, problem=problem), replace(self.last, problem=problem)
         scale = self.scale if system.loss is None else system.scale(last.squares)
         return replace(self, system=system, last=last, scale=scale)
@@ -74,7 +74,7 @@ class Fit(SolverResult):
 
     @property
     def unknowns(self) -> Unknowns:
-        """What was free."""
+        """The parameters and external unknowns, and which were free."""
         return self.system.unknowns
 
     @property
@@ -84,7 +84,7 @@ class Fit(SolverResult):
 
     @cached_property
     def good(self) -> Mask:
-        """Which rows take part and are no outliers, shape (N,)."""
+        """Which rows take part and are not outliers, shape (N,)."""
         if self.system.loss is None:
             return self.weights > 0.0
         squares = self.last.squares / self.scale**2
@@ -92,13 +92,13 @@ class Fit(SolverResult):
 
     @cached_property
     def degrees_of_freedom(self) -> int:
-        """Equations of good rows and priors that show noise, less free unknowns."""
+        """Equations of good rows and priors, less free unknowns and exact readings."""
         n_priors, used = int(np.isfinite(self.unknowns.priors).sum()), self.unknowns.n_free
         return int(self.last.equations[self.good].sum()) + n_priors - used - self.exact
 
     @cached_property
     def chi2(self) -> float:
-        """Sum of squares; with a loss what good rows would have at their own optimum."""
+        """Weighted sum of squares; under a robust loss that of good rows at their own optimum."""
         if self.system.loss is None:
             return self.system.cost(self.last, self.weights)
         return self.normal.left
@@ -110,7 +110,7 @@ class Fit(SolverResult):
 
     @cached_property
     def Q(self) -> Array:
-        """Good rows in orthonormal columns: what the unknowns take up; (n_good, m, n_free)."""
+        """Orthonormal basis of the good rows' Jacobian, shape (n_good, m, n_free)."""
         return self.normal.orthonormal(self.last.jacobian[self.good] @ self.unknowns.map)
 
     @cached_property
@@ -122,14 +122,15 @@ class Fit(SolverResult):
 
     @cached_property
     def slopes(self) -> Array:
-        """ψ' in B: its mean over rows that fit, the weight of an outlier; shape (N,)."""
+        """ψ' in B: its mean for rows that fit, the weight for outliers, shape (N,)."""
         return self._psi[0]
 
     @cached_property
     def _psi(self) -> tuple[Array, Array, Array, Array]:
-        """Slopes of ψ, and by how much outliers' are less along their residuals, shape (N,).
+        """Slopes of ψ, and their decrease along the residuals of outliers, shape (N,) each.
 
-        Then root mean squares of ψ of rows that fit, and ψ over the residuals of outliers, else 0.
+        Then the root mean square of ψ for rows that fit, and ψ over the residual for outliers;
+        both are zero elsewhere.
         """
         system, weights, none = self.system, self.weights, np.zeros_like(self.weights)
         if system.loss is None:
@@ -149,9 +150,9 @@ class Fit(SolverResult):
 
     @cached_property
     def root(self) -> Array:
-        """Root of B⁻¹, shape (n_free, n_free): that of (RᵀR − GᵀG)⁻¹, G what outliers' slopes fall.
+        """Root L of B⁻¹ = (RᵀR − GᵀG)⁻¹, G by the decreasing slopes of outliers, (n_free, n_free).
 
-        Of least squares R⁻¹.
+        For least squares it is R⁻¹.
         """
         root = NormalEquations.of(self.system.triangle(self.last, self.slopes)).root
         falls = self._psi[1]
@@ -164,7 +165,7 @@ class Fit(SolverResult):
 
     @cached_property
     def meat_in_root(self) -> Array:
-        """Root of B⁻¹, transposed, M, root of B⁻¹: 1 of least squares, shape (n_free, n_free)."""
+        """Lᵀ M L with B⁻¹ = L Lᵀ, the identity for least squares, shape (n_free, n_free)."""
         linear, noises = self.last, self._psi[2]
         if self.system.loss is None:
             return np.eye(len(self.root))
@@ -182,7 +183,7 @@ class Fit(SolverResult):
 
     @cached_property
     def covariance(self) -> Array:
-        """Of all unknowns, B⁻¹ M B⁻¹, shape (n, n); scaled by χ² if the noise was assumed."""
+        """B⁻¹ M B⁻¹ of all unknowns, shape (n, n), scaled by reduced χ² if noise was estimated."""
         by_free = self.unknowns.map @ self.root
         covariance = by_free @ self.meat_in_root @ by_free.T
         return np.asarray(self.noise_scale**2 * covariance + self.widening)
@@ -199,9 +200,9 @@ class Fit(SolverResult):
         return np.where(pulls > 0.0, pulls * self._along, 0.0)
 
     def response(self, errors: Array) -> Array:
-        """Return how all unknowns follow errors c of the conditions, (N, k, q) to (n, q).
+        """Return the changes −B⁻¹ Σ Jᵀ ψ' c of all unknowns, (n, q), by errors c of conditions.
 
-        −B⁻¹ Σ Jᵀ ψ' c.
+        The errors have shape (N, k, q).
         """
         weighted = self.slopes[:, None, None] * self.last.white(errors)
         J, by_free = self.last.jacobian, self.unknowns.map @ self.root
@@ -210,9 +211,9 @@ class Fit(SolverResult):
 
     @cached_property
     def influence(self) -> Array:
-        """How all unknowns follow the noise in standard deviations, shape (N, n, s + 1).
+        """Derivatives of all unknowns by the noise in standard deviations, shape (N, n, s + 1).
 
-        K = −B⁻¹ Jᵀ W at each pose; the last column is what an outlier moves.
+        They are −B⁻¹ Jᵀ W at each pose; the last column is the change by an outlier.
         """
         W, J = self.last.white.by_noise, self.last.jacobian
         noises, by_free = self._psi[2][:, None, None], self.unknowns.map @ self.root
@@ -226,14 +227,14 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
 
     Raises:
         ObservabilityError: parameters are not determined, or by the noise only.
-        MeasurementError: residuals that do not exist, or have no noise.
+        MeasurementError: residuals do not exist, or have no noise.
     """
     problem, unknowns = system.problem, system.unknowns
     first, evaluations = solve_poses(begin)
     check_rank(problem, unknowns, first)
     start, easier = (first, 0) if near else _near_start(system, begin, first)
     solution = optimum(system, start, system.cost(first), evaluations + easier, near=near)
-    if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
+    if system.known:  # at the start of a search a pose may be too near to a singularity
         check_information(problem, unknowns, (first, solution.last))
     check_rank(problem, unknowns, solution.last, ended=True)
     end = Fit(**vars(solution), system=system, first=first)
@@ -250,16 +251,17 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
 
 
 _UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
-_GROSS = 100.0  # times as far off as usual at the start: rows left out of the easier problem
-_EASY_NEAR = 0.1  # standard deviations of a residual at which the easier problem is left
+_GROSS = 100.0  # misfit over the median at the start, above which the easier problem omits a row
+_EASY_NEAR = 0.1  # distance from the easier problem's optimum, in σ, at which its search ends
 _EASY_EVALUATIONS = 50
 
 
 def _near_start(system: System, begin: Linear, first: Linear) -> tuple[Linear, int]:
-    """Return where the search begins, near an easier optimum if that is better; and evaluations.
+    """Return where the search begins, and the evaluations that this took.
 
-    That of the evened problem, without gross errors, and of least squares: a loss bends the cost
-    far from its optimum. It is sought from the start, of which ``first`` has the poses solved.
+    It is near the optimum of an easier problem if that is better than the start: the evened problem
+    by least squares without gross errors, since a robust loss is not convex far from its optimum.
+    ``first`` is the start with its poses solved.
     """
     problem = system.problem
     sound = first.squares <= _GROSS**2 * np.median(first.squares)
@@ -281,10 +283,10 @@ def _near_start(system: System, begin: Linear, first: Linear) -> tuple[Linear, i
 
 
 def _evened(problem: Problem, linear: Linear) -> Problem | None:
-    """Return the problem with every quantity at least as uncertain as is typical, if that differs.
+    """Return the problem with no noise below the typical one, None if there is little to raise.
 
     Its optimum is nearby and has no narrow valleys: where readings are exact, a pose near a
-    singularity of the nominal machine goes far astray. An arm that carries the platform has none.
+    singularity of the nominal machine goes far astray. A serial arm has no such singularities.
     """
     if not problem.latent or any(leg.is_arm for leg in problem.legs):
         return None

@@ -1,7 +1,7 @@
-"""The noise of the measurements: given, of each row, from repeated rows, or assumed.
+"""The noise of the measurements: given, in columns, from repeated rows, or assumed.
 
-A tracker measures a range and two angles: errors of x, y and z are correlated, the more so the
-farther it is.
+A tracker measures a range and two angles, so its errors of x, y and z are correlated, the more the
+farther away it stands.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from pincal.types import Array, Index, Mask
 
 Freedoms = tuple[float, ...]
 Source = Literal["given", "rows", "repeats", "estimated"]
-_ENOUGH = 30  # rows that repeat others; fewer say less about the noise than the residuals do
-_MARKED = 0.03  # of the least noise of a distance between rows: that of the point it is from
+_ENOUGH = 30  # repeated rows; fewer say less about the noise than the residuals do
+_MARKED = 0.03  # noise of a marked point over the least noise of distances from it
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
-_ASSUMED_PIXEL = 0.5  # the same of pixels
+_ASSUMED_PIXEL = 0.5  # the same for pixels, [px]
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class RowNoise:
     sigma: Array
     """Standard deviations, shape (N, r)."""
     correlation: Array | None = None
-    """Symmetric roots of the correlation matrices, shape (N, r, r); None if there are none."""
+    """Symmetric roots of the correlation matrices, shape (N, r, r); None if uncorrelated."""
 
     @cached_property
     def roots(self) -> Array:
@@ -49,25 +49,25 @@ class RowNoise:
         return roots
 
     def rows(self, chosen: Index | Mask) -> RowNoise:
-        """Return that of some rows."""
+        """Return the noise of some rows."""
         correlation = self.correlation
         return RowNoise(self.sigma[chosen], None if correlation is None else correlation[chosen])
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Standard deviations of what was measured, and where they come from."""
+    """Standard deviations of the measurements, and where they come from."""
 
     noise: Noise
-    """Of quantities without standard deviations of their own."""
+    """The noise of quantities without a standard deviation in their row."""
     poses: RowNoise
-    """Of the platform's freedoms."""
+    """The noise of the platform's freedoms."""
     readings: Array
-    """Shape (N, n_readings)."""
+    """Standard deviations of the readings, shape (N, n_readings)."""
     source: Source
     freedoms: Freedoms = (np.inf,) * 4
-    """Degrees of freedom with which variances of positions, orientations and readings are known;
-    none is of pixels, which repeated rows do not show."""
+    """Degrees of freedom with which the variances of positions, orientations, readings and pixels
+    are known; infinite if given."""
 
     @property
     def known(self) -> bool:
@@ -81,11 +81,11 @@ def noise_model(
     """Return the noise of measurements.
 
     Without ``noise`` and without columns of standard deviations, repeated rows give it if there
-    are enough of them; else it is to be estimated, and what is returned is where that begins:
-    readings exact where poses were measured in full. Columns of pixels alone give proportions.
+    are enough of them. Otherwise it is to be estimated, and the result is where that begins, with
+    exact readings where poses were measured in full. Columns of pixels alone give proportions.
 
     Raises:
-        MeasurementError: given twice, or rows that give it for readings only.
+        MeasurementError: noise is given twice, or columns give it for readings only.
     """
     _check_tracker(mechanism, data, setup)
     full, rows = bool(np.isfinite(data.poses).all()), _has_sigmas(mechanism, data, noise, setup)
@@ -124,7 +124,7 @@ def noise_model(
 
 
 def assumed_noise(mechanism: Mechanism, *, exact: bool, sees: bool = True) -> Noise:
-    """Return noise, by the mechanism's size, from which an estimate begins; of pixels if seen."""
+    """Return the noise where an estimate begins, by the mechanism's size; pixels if cameras see."""
     size = max(leg.size for leg in mechanism.legs)
     metric = "m" in mechanism.reading_units
     reading = 0.0 if exact and not mechanism.redundant else _ASSUMED * (size if metric else 1.0)
@@ -134,9 +134,9 @@ def assumed_noise(mechanism: Mechanism, *, exact: bool, sees: bool = True) -> No
 def _has_sigmas(
     mechanism: Mechanism, data: Measurements, noise: Noise | None, setup: Setup
 ) -> bool:
-    """Return whether rows have standard deviations of their own; those of readings not alone.
+    """Return whether columns give standard deviations; columns of readings alone are refused.
 
-    Those of pixels go with noise of all else that is given, or estimated.
+    Columns of pixels may stand beside a noise that is given or estimated.
     """
     rows = data.sigma_poses is not None or bool(data.sigma_extra.keys() - setup.pixels)
     if data.sigma_readings is not None and np.isfinite(data.poses).all() and not rows:
@@ -153,7 +153,7 @@ def _has_sigmas(
 
 
 def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
-    """Raise if a tracker's noise is not said in full, or positions have their own as well."""
+    """Raise if a tracker's noise is incomplete, or if positions have standard deviations, too."""
     if setup.tracker is None:
         return
     level = mechanism.platform.space == 2 and setup.tracker.at[2] == 0.0
@@ -172,7 +172,7 @@ def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> No
 
 
 def _check_sigmas(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
-    """Raise if measured quantities have no standard deviation beside others, or too small ones."""
+    """Raise if some measured quantities lack a standard deviation, or have too small a one."""
     columns = [v for v in (data.sigma_poses, data.sigma_readings) if v is not None]
     sigmas = np.column_stack([*columns, *data.sigma_extra.values()])
     tiny = (sigmas > 0.0) & (sigmas < SMALLEST_SIGMA)
@@ -207,11 +207,11 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements, setup: Setup) -> Non
 
 
 def _noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, Freedoms] | None:
-    """Return the noise that repeated rows show and its degrees of freedom, or None if too few.
+    """Return the noise within repeated rows and its degrees of freedom, or None if too few.
 
-    Rows repeat each other if their ``pose`` is the same, or, without such a column, if all
-    readings are equal to the last digit. Values that are equal say nothing about their noise:
-    readings are exact then, and poses that repeat at their resolution leave it to the residuals.
+    Rows repeat each other if their column ``pose`` is the same or, without it, if all readings are
+    equal to the last digit. Equal values say nothing about their noise: equal readings count as
+    exact, and equal poses leave the noise to the residuals.
     """
     several = _repeated_rows(data)
     dof = sum(len(rows) - 1 for rows in several)
@@ -234,18 +234,18 @@ def _noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, 
 
 
 def _repeated_rows(data: Measurements) -> list[Index]:
-    """Return rows that repeat each other, measured in full."""
+    """Return groups of rows that repeat each other and are measured in full."""
     groups: dict[Hashable, list[int]] = defaultdict(list)
     complete = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
     for row in np.flatnonzero(complete).tolist():
         name = data.readings[row].tobytes() if data.places is None else data.places[row]
-        if name:  # a row without a name is a place of its own
+        if name:  # a row without a name repeats no other
             groups[None if data.runs is None else data.runs[row], name].append(row)
     return [np.array(rows) for rows in groups.values() if len(rows) > 1]
 
 
 def _variance(groups: list[Array]) -> float:
-    """Return the variance within groups of rows, each of shape (n, k); 0 if most are equal."""
+    """Return the variance within groups of rows, (n, k) each; 0 if most rows are equal."""
     within = np.concatenate([rows - rows.mean(axis=0) for rows in groups])
     rounding = ROUNDING * max(float(np.abs(rows).max(initial=0.0)) for rows in groups)
     if not within.size or not np.median(np.abs(within)) > rounding:
@@ -262,9 +262,9 @@ def row_noise(
     setup: Setup,
     platform: Platform,
 ) -> RowNoise:
-    """Return the noise of quantities: each row's own, a tracker's, else that of the unit.
+    """Return the noise of quantities: by columns, by a tracker, else by their units.
 
-    Names are freedoms of the platform and columns of the setup.
+    ``names`` are freedoms of the platform and columns of the setup.
     """
     sigmas = _sigmas_by_name(data, noise, setup, platform)
     none = np.full(len(data), np.nan)
@@ -295,10 +295,10 @@ def row_noise(
 def _sigmas_by_name(
     data: Measurements, noise: Noise, setup: Setup, platform: Platform
 ) -> dict[str, Array]:
-    """Return each row's standard deviations by quantity, (N,).
+    """Return the standard deviations of rows, (N,), for each quantity that has them.
 
-    Of a distance between rows a small share is of the point that a row marks, the rest its own:
-    exact points beside exact readings would leave rows without noise.
+    A small share of the noise of a distance between rows belongs to the marked point: exact points
+    beside exact readings would leave rows without noise.
     """
     sigmas, none = dict(data.sigma_extra), np.full(len(data), np.nan)
     for name, size in setup.noises(platform).items():
@@ -318,7 +318,7 @@ def _sigmas_by_name(
 
 
 def target_positions(platform: Platform, data: Measurements, target: str) -> Array:
-    """Return measured positions of a target, shape (N, 3); NaN where not measured, z 0 in plane."""
+    """Return measured positions of a target, (N, 3); NaN where not measured, z = 0 in the plane."""
     measured, none = np.zeros((3, len(data))), np.full(len(data), np.nan)
     columns = [*data.poses.T[: platform.lengths]] if target == ORIGIN else []
     columns = columns or [data.extra.get(f"{target}_{a}", none) for a in "xyz"[: platform.space]]
@@ -327,7 +327,7 @@ def target_positions(platform: Platform, data: Measurements, target: str) -> Arr
 
 
 def _of_tracker(tracker: Tracker, points: Array, names: Sequence[str]) -> Array:
-    """Return covariances of n coordinates of points measured by a tracker, (N, 3) to (N, n, n)."""
+    """Return covariances (N, n, n) of n coordinates of points (N, 3) measured by a tracker."""
     n, measured = len(names), np.isfinite(points)[:, : len(names)]
     if (part := measured.any(axis=1) & ~measured.all(axis=1)).any():
         raise MeasurementError(

@@ -1,9 +1,9 @@
-"""What is measured of the platform, predicted from its pose, with derivatives.
+"""Measurements of the platform, predicted from its pose, with derivatives.
 
-Positions of targets u = T_frame_base (r + R t), single coordinates of them, orientations, by how
-much u misses what it meets (``relations``), and what further instruments read. Rows are predicted
-less measured. Each follows the twist of the platform in the frame of the measurements, of which the
-twist in base axes and that of the frame itself are parts.
+Measured are positions of targets u = T_frame_base (r + R t), single coordinates of them,
+orientations, the distance by which u misses a touched feature (``relations``), and what further
+instruments read. Residuals are predicted minus measured. Derivatives are by the platform's twist in
+the frame of the measurements; those by the twist in base axes and by the frame follow from them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Observation:
     """The residual block of what was measured of the platform at N poses."""
 
     def __init__(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
-        """Hold what was measured.
+        """Collect the measured quantities.
 
         Raises:
             MeasurementError: a column of the setup is missing, or an orientation is measured in
@@ -47,7 +47,7 @@ class Observation:
         scalars = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
         scalars |= {name: data.extra.get(name, none) for name in setup.columns(mechanism)}
         lengths_read, self.meets = meetings(platform, data, setup)
-        """Place of the feature that each row meets, -1 for none, shape (N, n_relations)."""
+        """Index of the feature that each row touches, -1 for none, shape (N, n_relations)."""
         scalars |= lengths_read
         units = {name: u for device in setup.instruments for name, u in device.columns.items()}
         conditions = [scalars.pop(name) for name in units]
@@ -61,24 +61,24 @@ class Observation:
             raise MeasurementError(f"{data.place(int(np.argmax(part)))}: {what}")
         turns = platform.freedoms[lengths:]
         self.names = (*scalars, *turns, *units)
-        """Names of the r quantities, as columns of measurements or freedoms of the platform."""
+        """Names of the r quantities: columns of the measurements, or freedoms of the platform."""
         self.units = (*["m"] * len(scalars), *["rad"] * len(turns), *units.values())
         known = [*scalars.values(), *[np.where(oriented, 0.0, np.nan)] * len(turns)]
         table = np.column_stack([np.empty((len(data), 0)), *known, *conditions])
         self.measured: Mask = np.isfinite(table)
-        """Which quantity is measured in which row, shape (N, r)."""
+        """Which quantities are measured in which rows, shape (N, r)."""
         self._values = np.where(self.measured, table, 0.0)
-        self._values[:, len(scalars) :] = 0.0  # of which predictions are less what was measured
+        self._values[:, len(scalars) :] = 0.0  # their predictions are residuals already
         self.conditions = table[:, len(known) :]
-        """What instruments read, shape (N, …); NaN where they did not."""
+        """What instruments read, shape (N, …); NaN where they read nothing."""
         self._turn_rows = [row - 3 for row in platform.twist_rows if row >= 3]
         self.external = ExternalUnknowns(platform, setup, bool(oriented.any()))
         self.noise = RowNoise(np.zeros(self.measured.shape))
-        """Noise of the quantities; none until it is said."""
+        """Noise of the quantities; zero until ``with_noise`` sets it."""
 
     @property
     def active(self) -> Mask:
-        """Rows that were measured, shape (N, r)."""
+        """Which rows were measured, shape (N, r)."""
         return self.measured
 
     @property
@@ -88,11 +88,11 @@ class Observation:
 
     @property
     def quantities(self) -> dict[str, str]:
-        """Names of what the columns of the noise belong to, each with its unit, m or rad."""
+        """Names and units (m or rad) of the quantities whose noise the columns of S are."""
         return {f"measured {name}": u for name, u in zip(self.names, self.units, strict=True)}
 
     def named(self, quantity: str, row: int) -> str:
-        """Return the name of a quantity in a row, with the row from which it is measured."""
+        """Return the name of a quantity in a row; a distance names the row it is measured from."""
         name = quantity.removeprefix("measured ")
         if name not in self.setup.between:
             return quantity
@@ -100,14 +100,14 @@ class Observation:
         return f"{name.partition('_')[0]} to {row_point.replace('_', ' ', 1)}"
 
     def only(self, names: Sequence[str]) -> Observation:
-        """Return the observation with nothing measured but the quantities named."""
+        """Return the observation with only the named quantities measured."""
         return self._with(measured=self.measured & np.isin(self.names, list(names)))
 
     def anywhere(self) -> Observation:
-        """Return the observation with every quantity measured that is measured in some row.
+        """Return the observation with every quantity measured in all rows if it is in some.
 
-        But for contacts, and what is measured from other rows: what is touched in no row may be
-        anywhere.
+        Contacts and distances between rows are left as they are, since a feature that a row does
+        not touch may be anywhere.
         """
         oriented = _oriented(self.orientations)[:, None, None]
         somewhere: Mask = np.asarray(self.measured.any(axis=0))
@@ -120,15 +120,15 @@ class Observation:
         )
 
     def visible(self, matrices: Array, external: External) -> Observation:
-        """Return the observation with nothing measured that cameras do not see at poses.
+        """Return the observation without the points that cameras do not see at the poses.
 
-        Poses are ``T_base_platform``, shape (N, 4, 4).
+        ``matrices`` are ``T_base_platform``, shape (N, 4, 4).
         """
         hidden = self._asked("visible", matrices, external) == 0.0
         return self._with(measured=self.measured & ~hidden)
 
     def metres_per_pixel(self, matrices: Array, external: External) -> Array:
-        """Return what a pixel is at poses where what is seen is, (N, r), [m/px]; NaN of others."""
+        """Return the size of a pixel at each seen point, (N, r), [m/px]; NaN of other columns."""
         return self._asked("metres_per_pixel", matrices, external)
 
     def _asked(self, method: str, matrices: Array, external: External) -> Array:
@@ -139,7 +139,7 @@ class Observation:
         return values
 
     def _devices(self) -> Iterator[tuple[Instrument, slice, Index]]:
-        """Yield instruments, their columns among quantities, and the places of their unknowns."""
+        """Yield instruments, their columns among quantities, and indices of their parameters."""
         begin = len(self.names) - self.conditions.shape[1]
         pairs = zip(self.setup.instruments, self.external.of_instruments, strict=True)
         for instrument, places in pairs:
@@ -163,18 +163,18 @@ class Observation:
         return changed
 
     def row_noise(self, data: Measurements, noise: Noise) -> RowNoise:
-        """Return the noise of all that is measured: each row's own, else that given."""
+        """Return the noise of all quantities: each row's own, else the general one."""
         return row_noise(self.names, self.units, data, noise, self.setup, self.platform)
 
     @property
     def single(self) -> Mask:
-        """Which quantities have noise of their own: pixels, shape (r,)."""
+        """Which quantities have independent noise (pixels), shape (r,)."""
         return np.array([unit == "px" and self.noise.correlation is None for unit in self.units])
 
     def noise_root(self, quantities: Index | None = None) -> Array:
         """Return the root of the rows' noise, shape (N, r, r); zero where nothing is measured.
 
-        Of some quantities, whose noise is not that of others, if these are given.
+        ``quantities`` restricts it to some that are not correlated with the others.
         """
         measured, noise = self.measured, self.noise
         if quantities is not None:
@@ -182,10 +182,10 @@ class Observation:
         return np.where(measured[:, :, None], noise.roots, 0.0)
 
     def systematic(self, matrices: Array, external: External) -> Array:
-        """Return by how much all is off for one standard uncertainty of what is off in all rows.
+        """Return the errors of all quantities by one standard uncertainty of systematic errors.
 
-        Shape (N, r, q): columns are the scale of lengths and, axis by axis, the offset of each
-        target that is taken as known; none where nothing is uncertain so.
+        The q columns, shape (N, r, q), are the scale of lengths and, axis by axis, the offset of
+        each known target; there are none without systematic uncertainties.
         """
         setup, r = self.setup, len(self.names)
         errors = [np.zeros((len(matrices), r, 0))]
@@ -202,7 +202,7 @@ class Observation:
         return np.concatenate(errors, axis=2)
 
     def evaluate(self, state: State) -> BlockRows:
-        """Return the residuals at a state, unknowns those outside the mechanism."""
+        """Return the residuals at a state; the unknowns are the external ones."""
         value, by_pose, by_external = self.residuals(state.matrices, state.external)
         by_measured = np.broadcast_to(-np.eye(value.shape[1]), (*value.shape, value.shape[1]))
         return BlockRows(value, by_pose, by_external, by_measured)
@@ -215,7 +215,7 @@ class Observation:
         Args:
             matrices: Poses ``T_base_platform``, shape (N, 4, 4).
             external: Values of the external unknowns.
-            columns: Places of external values; of those that are unknown if not given.
+            columns: Indices of external values; by default the unknown ones.
 
         Returns:
             Residuals, shape (N, r), [m] and [rad], their derivatives by the platform's twist,
@@ -241,7 +241,7 @@ class Observation:
         )
 
     def targets(self, poses: Array, external: External) -> dict[str, Predicted]:
-        """Return places of targets, (N, 3), of platforms seen in the frame, (N, 4, 4)."""
+        """Return rows of all targets' positions at poses ``T_frame_platform``, (N, 4, 4)."""
         R, points = poses[:, :3, :3], dict[str, Predicted]()
         for index, target in enumerate(self.setup.targets):
             arm = R @ external.offsets[index]
@@ -251,9 +251,9 @@ class Observation:
         return points
 
     def _points(self, poses: Array, external: External) -> list[Predicted]:
-        """Return rows of coordinates of targets, and of what they meet."""
+        """Return rows of coordinates of targets, and of the features that they touch."""
         points, rows = self.targets(poses, external), []
-        for target, (u, D, E) in points.items():  # of the platform itself what it moves along
+        for target, (u, D, E) in points.items():  # of the origin only the axes it moves along
             axes = self.platform.lengths if target == ORIGIN else self.platform.space
             rows.append((u[:, :axes], D[:, :axes], E[:, :axes]))
         relations = self.setup.relations(self.platform.space)
@@ -262,7 +262,7 @@ class Observation:
         return rows
 
     def _turned(self, R: Array, external: External) -> Predicted:
-        """Return rows of orientations, less what was measured."""
+        """Return rows of orientations, predicted minus measured, as rotation vectors."""
         error, oriented = np.zeros((len(R), 3)), _oriented(self.orientations)
         if self._turn_rows:
             predicted = R[oriented] @ external.turn

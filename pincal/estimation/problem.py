@@ -3,13 +3,13 @@
         legs:         e(x, ψ; φ) = 0      noise of the readings ψ
         instruments:  h(x; φ) − m = 0     noise of what was measured, m
 
-Poses are unknowns, of which any part or none was measured; or they are taken as measured, and
-their noise enters the legs' conditions (the papers' divide and conquer). Nothing else differs:
-in the latter the columns of the pose are multiplied by its noise and join S.
+Poses are unknowns, measured in full, in part or not at all; or they are taken as measured, and
+their noise enters the legs' conditions (the papers' divide and conquer). Nothing else differs: in
+the second case the columns of the pose are multiplied by its noise and join S.
 
-The residual of a leg is Nᵀ c at a pose and a reading, passive joints chosen to minimise |c|: for a
-planar dyad, the platform point's distance from the elbow less L. It exists out of reach and stays
-finite near type-1 singularities.
+The residual of a leg is Nᵀ c at a pose and a reading, with the passive joints that minimise |c|:
+for a planar dyad, the platform point's distance from the elbow less L. It exists out of reach and
+stays finite near type-1 singularities.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array, Index, Mask
 
-_MANY = 2  # times the freedoms of a pose: from so many on, rows with noise of their own are turned
+_MANY = 2  # rows with independent noise over freedoms of a pose, above which they are turned
 
 
 @dataclass(frozen=True)
@@ -41,37 +41,37 @@ class LegBlock:
     """The nominal legs."""
     platform: Platform
     readings: Array
-    """Of all legs, shape (N, n_readings), [rad] or [m]."""
+    """Measured readings of all legs, shape (N, n_readings), [rad] or [m]."""
     influences: Mapping[str, Array]
-    """Influence quantities on which terms of the legs depend, each of shape (N,)."""
+    """Influence quantities (temperature, load) that terms of the legs depend on, (N,) each."""
     data_rows: Index
     """Rows of the measurements, counted from 0, shape (N,)."""
     used: Mask
-    """Which row serves which leg, shape (N, n_legs)."""
+    """Which rows are used for which leg, shape (N, n_legs)."""
     sigma: Array
     """Standard deviations of the readings of all legs, shape (N, n_readings), [rad] or [m]."""
     pose_roots: Array | None = None
-    """If poses are taken as measured: roots of their covariance, as twists in base axes, shape
-    (N, dof, dof). Poses are unknowns otherwise."""
+    """Roots of the covariance of measured poses, as twists in base axes, shape (N, dof, dof); None
+    if poses are unknowns."""
 
     @cached_property
     def widths(self) -> list[int]:
-        """Number of equations of each leg at a pose."""
+        """Number of equations that each leg gives at a pose."""
         return [self.platform.equations(leg) for leg in self.legs]
 
     @cached_property
     def leg_rows(self) -> list[slice]:
-        """Equations of each leg among those of all at a pose."""
+        """Rows of each leg among the equations of a pose."""
         return _slices(self.widths)
 
     @cached_property
     def columns(self) -> list[slice]:
-        """Parameters of each leg among the unknowns."""
+        """Columns of each leg's parameters among the unknowns."""
         return _slices([len(leg.parameters) for leg in self.legs])
 
     @cached_property
     def reading_columns(self) -> list[slice]:
-        """Readings of each leg among those of all."""
+        """Columns of each leg's readings among all readings."""
         return _slices([len(leg.sensors) for leg in self.legs])
 
     @property
@@ -91,12 +91,12 @@ class LegBlock:
 
     @cached_property
     def active(self) -> Mask:
-        """Equations that rows serve, shape (N, n_rows)."""
+        """Which equations are used at each pose, shape (N, n_rows)."""
         return np.repeat(self.used, self.widths, axis=1)
 
     @cached_property
     def known(self) -> list[Array]:
-        """Readings of each leg, then its influences, shape (N, n_active [+ n_influences])."""
+        """Readings of each leg and its influences, shape (N, n_active [+ n_influences])."""
         influences = [leg.influences for leg in self.legs]
         return [
             np.column_stack([self.readings[:, columns], *(self.influences[name] for name in names)])
@@ -105,7 +105,7 @@ class LegBlock:
 
     @cached_property
     def quantities(self) -> dict[str, str]:
-        """Names of what the columns of the noise belong to, each with its unit, m or rad."""
+        """Names and units (m or rad) of the quantities whose noise the columns of S are."""
         names = {
             f"reading of {name}" if len(leg.sensors) == 1 else f"reading {name}": unit
             for leg in self.legs
@@ -129,7 +129,7 @@ class LegBlock:
         )
 
     def evaluate(self, state: State) -> BlockRows:
-        """Return the residuals of the legs where they close best; zero in rows that serve none."""
+        """Return the residuals of the legs, passive joints at best closure; zero where unused."""
         pairs = zip(self.legs, self.columns, strict=True)
         closures = [LegClosure(leg, self.platform, state.parameters[c]) for leg, c in pairs]
         placed, serves = [state.matrices] * len(closures), self.active[:, :, None]
@@ -144,18 +144,18 @@ class LegBlock:
 
 
 def _slices(sizes: Sequence[int]) -> list[slice]:
-    """Return slices of such sizes, one behind the other."""
+    """Return consecutive slices of the given sizes."""
     ends = np.cumsum(sizes).tolist()
     return [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Conditions of all blocks at a state; freed of the poses, and white at the problem's noise."""
+    """Conditions of all blocks at a state, linearised, whitened and with poses eliminated."""
 
     problem: Problem
     state: State
-    """Values of the unknowns, joints where the legs close best."""
+    """Values of the unknowns, and joints at best closure."""
     conditions: Array
     """Residuals e of all blocks, shape (N, k), [m] and [rad]."""
     by_parameter: Array
@@ -167,25 +167,25 @@ class Linear:
 
     @property
     def equations(self) -> Index:
-        """How many equations each pose gives, shape (N,)."""
+        """Number of equations of each pose after its elimination, shape (N,)."""
         return self.problem.equations
 
     @cached_property
     def reading_root(self) -> Array:
-        """How the legs' rows follow the noise of readings, shape (N, k of legs, n_readings)."""
+        """Root of the readings' noise in the legs' rows, shape (N, k of legs, n_readings)."""
         legs = self.problem.leg_block
         return np.where(legs.active[:, :, None], self.by_measured * legs.sigma[:, None], 0.0)
 
     @cached_property
     def noise_root(self) -> Array:
-        """S: root of the noise, of readings and of what was measured of the platform, (N, k, s).
+        """S: root of the noise of readings and of measurements of the platform, (N, k, s).
 
-        Where poses are taken as measured, their noise takes part in the legs' rows.
+        Where poses are taken as measured, their noise enters the legs' rows.
         """
         return self._noise_of(None)
 
     def _noise_of(self, quantities: Index | None) -> Array:
-        """Return the root of the noise of legs and some measured quantities, all if None."""
+        """Return the root of the noise of the legs and of some (None: all) measured quantities."""
         roots = self.problem.leg_block.pose_roots
         if roots is not None:
             return np.concatenate((self.reading_root, self.by_pose @ roots), axis=2)
@@ -193,11 +193,11 @@ class Linear:
         return block_diagonal((self.reading_root, observed))
 
     def after(self, step: Array) -> Array:
-        """Return the conditions after a step of the unknowns (n,), to first order, (N, k)."""
+        """Return the conditions to first order after a step (n,) of the unknowns, (N, k)."""
         return self.conditions + self.by_parameter @ step
 
     def moved(self, step: Array) -> State:
-        """Return the state after a step of all unknowns, shape (n,), the poses following."""
+        """Return the state after a step (n,) of the unknowns, poses moved to first order."""
         state, matrices = self.state, self.state.matrices
         legs, external = self.problem.leg_block, self.problem.observation.external
         if self.problem.latent:
@@ -207,7 +207,7 @@ class Linear:
         return State(state.parameters + parameters, matrices, state.joints, moved)
 
     def with_poses(self, places: Mask, elsewhere: Linear) -> Linear:
-        """Return the conditions with those at other poses, the same parameters, at places (N,)."""
+        """Return conditions that at masked poses (N,) are those of ``elsewhere``."""
 
         def chosen(old: Array, new: Array) -> Array:
             return np.where(places.reshape(-1, *[1] * (old.ndim - 1)), new, old)
@@ -225,9 +225,9 @@ class Linear:
 
     @cached_property
     def white(self) -> WhiteRows:
-        """What frees the rows of the poses and whitens them.
+        """The map that eliminates the poses and whitens the rows.
 
-        Rows that nothing was measured of have noise of their own, so that they say nothing.
+        Rows without a measurement get independent noise, so that they carry no information.
         """
         problem, n_rows = self.problem, self.problem.leg_block.n_rows
         dof, width = self.by_pose.shape[2] * problem.latent, self.by_measured.shape[2]
@@ -253,17 +253,17 @@ class Linear:
         return turned_rows(self.by_pose, noise, sigma, *places)
 
     def whitened(self, conditions: Array) -> Array:
-        """Return conditions of shape (N, k), as those at another state, in these rows, (N, m)."""
+        """Return conditions (N, k), such as those of another state, as white rows, (N, m)."""
         return self.white(conditions[:, :, None])[:, :, 0]
 
     @cached_property
     def residuals(self) -> Array:
-        """Residuals in standard deviations, freed of the poses, shape (N, m)."""
+        """Residuals in standard deviations, poses eliminated, shape (N, m)."""
         return self.whitened(self.conditions)
 
     @property
     def jacobian(self) -> Array:
-        """Derivatives of the residuals, shape (N, m, n); made anew each time."""
+        """Derivatives of the residuals, shape (N, m, n); not cached, as it is large."""
         return self.white(self.by_parameter)
 
     def jacobian_of(self, poses: slice) -> Array:
@@ -271,12 +271,12 @@ class Linear:
         return self.white(self.by_parameter[poses], poses)
 
     def parts(self) -> Iterator[slice]:
-        """Return poses, so many at once as memory holds well."""
+        """Return slices of poses that bound the memory of a Jacobian."""
         return chunks(len(self.conditions))
 
     @cached_property
     def triangle(self) -> Array:
-        """R of J = Q R over all poses, shape (n, n): the same columns but for a rotation."""
+        """R of J = Q R over all poses, shape (n, n)."""
         parts = [self.jacobian_of(poses) for poses in self.parts()]
         triangles = [np.linalg.qr(J.reshape(-1, J.shape[2]), mode="r") for J in parts]
         return np.asarray(np.linalg.qr(np.concatenate(triangles), mode="r"))
@@ -288,29 +288,29 @@ class Linear:
 
     @cached_property
     def noise(self) -> Array:
-        """The least noise that explains the conditions, standard deviations, shape (N, s)."""
+        """The least noise that explains the conditions, in standard deviations, shape (N, s)."""
         return -(self.white.by_noise.transpose(0, 2, 1) @ self.residuals[:, :, None])[:, :, 0]
 
     @cached_property
     def noise_by_parameter(self) -> Array:
-        """Its derivative, shape (N, s, n): rows that do not turn from state to state."""
+        """Derivative of ``noise``, (N, s, n); unlike white rows, in the same basis everywhere."""
         return -(self.white.by_noise.transpose(0, 2, 1) @ self.jacobian)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Residual blocks at N poses: of legs, and of what was measured where poses are unknowns."""
+    """Residual blocks at N poses: the legs, and where poses are unknowns the measurements."""
 
     leg_block: LegBlock
-    """The legs, their readings and the noise of these."""
+    """The legs with their readings and the readings' noise."""
     observation: Observation
-    """What was measured of the platform, its noise, and what is unknown outside the mechanism."""
+    """Measurements of the platform, their noise, and the unknowns outside the mechanism."""
     first: State | None = None
     """Where the search starts."""
 
     @property
     def legs(self) -> tuple[Leg, ...]:
-        """Legs whose parameters are identified, in order."""
+        """Legs whose parameters are identified."""
         return self.leg_block.legs
 
     @property
@@ -330,12 +330,12 @@ class Problem:
 
     @property
     def blocks(self) -> tuple[LegBlock] | tuple[LegBlock, Observation]:
-        """Residual blocks whose rows stand below each elsewhere."""
+        """Residual blocks whose rows are stacked."""
         return (self.leg_block, self.observation) if self.latent else (self.leg_block,)
 
     @cached_property
     def quantities(self) -> dict[str, str]:
-        """Names of what the columns of the noise belong to, each with its unit, m or rad."""
+        """Names and units (m or rad) of the quantities whose noise the columns of S are."""
         return {name: unit for block in self.blocks for name, unit in block.quantities.items()}
 
     @property
@@ -345,32 +345,32 @@ class Problem:
 
     @cached_property
     def equations(self) -> Index:
-        """How many equations each pose gives, poses eliminated, shape (N,)."""
+        """Number of equations of each pose after its elimination, shape (N,)."""
         return np.asarray(self.active.sum(axis=1) - self.platform.dof * self.latent)
 
     @cached_property
     def active(self) -> Mask:
-        """Rows that something was measured of, shape (N, k)."""
+        """Which rows have a measurement, shape (N, k)."""
         return np.concatenate([block.active for block in self.blocks], axis=1)
 
     def at(self, rows: Index) -> Problem:
-        """Return the problem of some poses."""
+        """Return the problem at some poses."""
         first = None if self.first is None else self.first.rows(rows)
         return Problem(self.leg_block.at(rows), self.observation.at(rows), first)
 
     def start(self, parameters: Array) -> State:
-        """Return the state from which the search starts, at parameters, those of the legs first."""
+        """Return the start of the search with parameters (n,), those of the legs first."""
         if self.first is None:
             raise TypeError("the poses have no start yet")
         return replace(self.first, parameters=parameters[: self.leg_block.n_parameters])
 
     def values(self, state: State) -> Array:
-        """Return the values of all unknowns but poses at a state, shape (n,)."""
+        """Return the values of all unknowns except poses, shape (n,)."""
         external = self.observation.external.coordinates(state.external)
         return np.concatenate((state.parameters, external))
 
     def evaluate(self, state: State) -> Linear:
-        """Return the conditions at a state: rows of the blocks below each elsewhere.
+        """Return the linearised conditions at a state: the stacked rows of the blocks.
 
         ┌ e ┐   ┌ legs ┐    A = ┌ leg 1             ┐    B = ┌ legs ┐
         └   ┘   └ seen ┘        │        leg 2      │        └ seen ┘

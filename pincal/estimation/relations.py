@@ -1,8 +1,8 @@
-"""Rows that share what they meet: contacts, gauges, and what is measured from row to row.
+"""Relations: rows that touch the same feature, and distances measured from row to row.
 
-Each relation holds at the rows whose column names one of its features; its residuals follow the
-row's target and that feature (``pincal.model.relations``). A distance between two rows leads from
-one to the point at which the other stood.
+A relation holds at the rows whose column names one of its features. Its residuals depend on the
+row's target and on that feature (``pincal.model.relations``). A distance between two rows is
+measured from one row's target to the point where the other row's target was.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
 
 Predicted: TypeAlias = tuple[Array, Array, Array]
 """Rows, shape (N, k), derivatives by the platform's twist in the frame of the measurements, (N, k,
-6), and by external values but for that frame, (N, k, n)."""
-_STEPS = 20  # of features towards what meets them, at most
-_STILL = 1e-13  # of their coordinates, relative: no step
+6), and by external values except that frame, (N, k, n)."""
+_STEPS = 20  # largest number of steps of the features to least squares
+_STILL = 1e-13  # relative change of their coordinates that is negligible
 
 
 def meetings(
     platform: Platform, data: Measurements, setup: Setup
 ) -> tuple[dict[str, Array], Index]:
-    """Return what is read by quantity, (N,) each, and places of features, (N, n_relations).
+    """Return the readings of each quantity, (N,), and indices of features, (N, n_relations).
 
-    Zero is read where a target touches, NaN where it meets nothing, whose place is -1.
+    A contact reads zero. A row without a feature reads NaN and has index -1.
 
     Raises:
-        MeasurementError: a name that the setup has not.
+        MeasurementError: a column names a feature that the setup does not have.
     """
     ids = {name: place for place, name in enumerate(setup.features)}
     columns, meets = dict[str, Array](), list[list[int]]()
@@ -72,9 +72,9 @@ def met(
     external: External,
     outside: ExternalUnknowns,
 ) -> Predicted:
-    """Return the rows of a relation, by its target's and the places of features, (N,)."""
+    """Return the rows of a relation from those of its target and the indices of features (N,)."""
     point, by_twist, by_external = target
-    places = np.maximum(places, 0)  # rows of those that meet nothing do not count
+    places = np.maximum(places, 0)  # rows without a feature do not count
     value, by_point, by_feature = missed(
         relation, point, external.features[places], outside.axes[places]
     )
@@ -85,7 +85,7 @@ def met(
 
 
 def touches(observation: Observation) -> Iterator[tuple[str, Index, Mask]]:
-    """Yield each feature that is met, the columns of what misses it, and rows that meet it."""
+    """Yield each touched feature's name, its columns of residuals, and the rows that touch it."""
     setup = observation.setup
     axes = setup.contact_axes(observation.platform)
     meets = observation.meets[:, len(setup.distances) :]
@@ -95,7 +95,7 @@ def touches(observation: Observation) -> Iterator[tuple[str, Index, Mask]]:
 
 
 def at_touch(observation: Observation, matrices: Array, external: External) -> External:
-    """Return the values with unknown features where poses (N, 4, 4) meet them at least squares."""
+    """Return the values with unknown features fitted by least squares to poses (N, 4, 4)."""
     outside, contacts = observation.external, observation.setup.touched
     unknown = np.isinf(outside.sigmas)
     every = np.arange(outside.features.start, outside.features.stop)
@@ -125,7 +125,7 @@ def at_touch(observation: Observation, matrices: Array, external: External) -> E
 
 
 def _round(w: Array, dimensions: int, feature: Array) -> Array:
-    """Return a feature about points (N, 3) in its axes, round in some dimensions (I. Kåsa 1976)."""
+    """Return a circle or sphere through points (N, 3) in the feature's axes (I. Kåsa 1976)."""
     flat = w[:, :dimensions]
     A = np.column_stack((2.0 * flat, np.ones(len(flat))))
     *centre, constant = np.linalg.lstsq(A, (flat**2).sum(axis=1))[0]
@@ -142,9 +142,9 @@ def touching(
     external: External,
     errors: Array | float = 0.0,
 ) -> Plan:
-    """Return the plan of an observation's rows, platforms shifted until they touch but for errors.
+    """Return a plan with platforms shifted until they touch their features up to errors (N, 3) [m].
 
-    Unknown features are where they are met at least squares; errors are of shape (N, 3), [m].
+    Unknown features are fitted by least squares.
     """
     platform, setup = observation.platform, observation.setup
     axes = setup.contact_axes(platform).values()

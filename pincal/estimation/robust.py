@@ -19,14 +19,14 @@ from pincal.types import Mask
 from pincal.words.numbers import listed
 from pincal.words.wording import NAMED
 
-_LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
-_ROUNDS = 10  # rounds of leaving rows out
+_LEAST = float(np.finfo(float).tiny)  # smallest probability that a float can hold
+_ROUNDS = 10  # largest number of rounds of leaving rows out
 _GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
 _LINEAR = 0.1  # share of the machine's size, or [rad], up to which noise acts linearly
 
 
 def robust_fit(system: System, loss: Loss | None, begin: Linear, *, near: bool = False) -> Fit:
-    """Return the fit of a problem, of least squares or under a loss, with rows that did not fit.
+    """Return the fit of a problem by least squares or under a robust loss, and its outliers.
 
     The search begins at nominal parameters, or near the optimum under the same loss.
     """
@@ -44,10 +44,10 @@ def robust_fit(system: System, loss: Loss | None, begin: Linear, *, near: bool =
 
 
 def _under_loss(system: System, loss: Loss, begin: Linear, *, near: bool) -> tuple[Fit, float]:
-    """Return the fit under a loss, and the scale of the noise by which it rejects rows.
+    """Return the fit under a robust loss, and the scale of the noise by which it rejects rows.
 
-    From nominal parameters by Cauchy's loss, which forgets no row, then, if rows are rejected, by
-    Tukey's. Near the optimum under the same loss, at other noise, the beginning says the scale.
+    From nominal parameters the search takes Cauchy's loss, which gives every row some weight, then
+    Tukey's if rows are rejected. Near an optimum the conditions there give the scale.
     """
     problem, fits = system.problem, list[Fit]()
     if not near:
@@ -56,8 +56,8 @@ def _under_loss(system: System, loss: Loss, begin: Linear, *, near: bool) -> tup
     else:
         linear, _ = solve_poses(begin)
         _, scale = replace(system, loss=loss).weights(linear.squares)
-    # Rows whose pose was not found, or that move the machine by a good part of its size, have no
-    # derivatives that say anything, and no loss bounds what they weigh.
+    # Rows whose pose was not found, or whose noise moves the machine by a large part of its size,
+    # have meaningless derivatives, and no loss bounds their influence.
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
     largest = {"m": _LINEAR * problem.size, "rad": _LINEAR}
     sound = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in problem.units]).all(axis=1)
@@ -80,11 +80,11 @@ def _under_loss(system: System, loss: Loss, begin: Linear, *, near: bool) -> tup
 
 
 def check_covariance(mechanism: Mechanism, optimum: Fit) -> Fit:
-    """Return a fit; raise if it was lost among parameters, or found values that could be any.
+    """Return the fit; raise if its search ran away, or if its parameters are arbitrary.
 
-    Lost where noise moves parameters farther than machines differ from their drawings; any where
-    it has done so, and two standard errors are longer than the machine, or more than a radian: no
-    linear covariance holds so far.
+    A search ran away where noise moves parameters farther than machines differ from their drawing.
+    Parameters are arbitrary if they moved so far, and two standard errors are longer than the
+    machine, or more than a radian: no linear covariance holds that far.
     """
     if optimum.system.known and optimum.chi2 > _GOOD * max(optimum.degrees_of_freedom, 1):
         return optimum
@@ -110,8 +110,8 @@ def check_covariance(mechanism: Mechanism, optimum: Fit) -> Fit:
 def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Outlier, ...]:
     """Return the rows that do not fit at a scale of the noise, the worst first.
 
-    Rows in use are judged by another scale if that is larger. Rows that do not count, such as those
-    for verification, are judged elsewhere.
+    Rows in use are judged by the larger of ``scale`` and ``judged``. Rows that do not count, such
+    as verification rows, are judged elsewhere.
     """
     linear = fit.last
     if not (fit.converged and scale > 0.0):
@@ -125,7 +125,7 @@ def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Out
     noise = np.abs(linear.noise[:, : len(quantities)]) / scale
     observation = fit.problem.observation
     marked = [place for place, name in enumerate(quantities) if name.startswith(f"measured {ROW}_")]
-    noise[:, marked] = 0.0  # where a row stood, which follows what is measured from there
+    noise[:, marked] = 0.0  # the place of a row, which follows distances measured from it
     worst = noise.argmax(axis=1)
     outliers = [
         Outlier(
@@ -142,6 +142,6 @@ def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Out
 
 
 def as_one(squares: float, equations: int) -> float:
-    """Return the size of one normal residual that is as unlikely as a χ² of several."""
+    """Return the size of a single normal residual that is as unlikely as a χ² of several."""
     chance = chdtrc(equations, squares)
     return float(-ndtri(chance / 2) if chance > _LEAST else np.sqrt(squares))

@@ -13,9 +13,9 @@ The left null space N of B frees the rows of the pose, L Lᵀ = (NᵀS)(NᵀS)�
 left is L⁻¹Nᵀe with the Jacobian L⁻¹NᵀA. A measured quantity of variance zero is exact; one that
 was not measured is a row with noise only.
 
-Many rows whose noise is theirs alone, as those of points in a photograph, are whitened first, and
-turned by Householder's reflections until dof of them follow the pose: these join the other rows,
-the rest is free of it. That is linear in their number.
+Many rows with independent noise, such as the points of a photograph, are whitened first and
+rotated by Householder reflections so that only dof of them depend on the pose. These dof rows join
+the other rows; the rest do not depend on the pose. The cost is linear in the number of rows.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from pincal.types import Array, Index
 
 
 class TurnedRows(NamedTuple):
-    """Rows whose noise is theirs alone, among others, turned so that dof of them follow the pose.
+    """Rows with independent noise, rotated so that only dof of them depend on the pose.
 
-    Their places, and those of their noise, are integer arrays: of others, then of theirs.
+    Indices come in pairs: of all other rows or noise columns, then of the independent ones.
     """
 
     rows: tuple[Index, Index]
@@ -43,12 +43,12 @@ class TurnedRows(NamedTuple):
     sigma: Array
     """Standard deviations, shape (N, j)."""
     vectors: Array
-    """Of Householder's reflections, shape (N, dof, j)."""
+    """Householder vectors, shape (N, dof, j)."""
     factors: Array
-    """Theirs, shape (N, dof)."""
+    """Householder factors, shape (N, dof)."""
 
     def __call__(self, rows: Array, poses: slice = slice(None)) -> tuple[Array, Array]:
-        """Return others with dof of these below, and what is free of the pose, of (N, k, n)."""
+        """Return the rows that depend on the pose, and the others, from rows (N, k, n)."""
         turned = rows[:, self.rows[1]] / self.sigma[poses, :, None]
         vectors = self.vectors[poses].swapaxes(0, 1)
         for v, factor in zip(vectors, self.factors[poses].T, strict=True):
@@ -59,24 +59,24 @@ class TurnedRows(NamedTuple):
 
 @dataclass(frozen=True)
 class WhiteRows:
-    """Rows of N poses, freed of them and whitened, and the way back to the poses."""
+    """The map that eliminates N poses from their rows and whitens these, and the way back."""
 
     reduced: Array
     """V⁻¹Nᵀ of L = V D, shape (N, m, k), m = k - dof."""
     scale: Array
-    """D, by which rows are divided last, shape (N, m, 1)."""
+    """D, by which the rows are divided at the end, shape (N, m, 1)."""
     range: Array
     """Orthonormal basis Q of the range of B, shape (N, k, dof)."""
     triangle: Array
     """R of B = Q R, shape (N, dof, dof)."""
     root: Array
-    """S, shape (N, k, s); these five of the others where some rows were turned."""
+    """S, shape (N, k, s). Where rows were turned, these five fields are of the other rows."""
     turned: TurnedRows | None = None
 
     def __call__(self, rows: Array, poses: slice = slice(None)) -> Array:
-        """Return rows freed of the pose and whitened, shape (N, m, n), from shape (N, k, n).
+        """Return rows with the pose eliminated and whitened, shape (N, m, n), from (N, k, n).
 
-        Of some of the poses, if these are given.
+        The rows are of all poses, or of a slice of them.
         """
         if self.turned is None:
             return np.asarray(self.reduced[poses] @ rows) / self.scale[poses]
@@ -102,22 +102,22 @@ class WhiteRows:
 
     @cached_property
     def by_noise(self) -> Array:
-        """W = L⁻¹NᵀS, how white rows follow the noise, shape (N, m, s): W Wᵀ = 1."""
+        """W = L⁻¹NᵀS, the derivative of white rows by the noise, shape (N, m, s): W Wᵀ = 1."""
         return self(self.noise)
 
     @cached_property
     def back(self) -> Array:
-        """S Wᵀ (W Wᵀ)⁻¹, how conditions follow their rows, shape (N, k, m)."""
+        """S Wᵀ (W Wᵀ)⁻¹, the conditions that belong to white rows, shape (N, k, m)."""
         W = self.by_noise
         by_rows = np.linalg.solve(W @ W.transpose(0, 2, 1), W @ self.noise.transpose(0, 2, 1))
         return np.asarray(by_rows.transpose(0, 2, 1))
 
     def pose_step(self, rows: Array) -> Array:
-        """Return the step of the poses that explains rows (N, k) with the least noise, (N, dof)."""
+        """Return the pose steps, (N, dof), that explain rows (N, k) with the least noise."""
         return self.poses_by(rows[:, :, None])[:, :, 0]
 
     def poses_by(self, rows: Array) -> Array:
-        """Return the poses' steps for several rows at once, (N, k, n) to (N, dof, n).
+        """Return the pose steps of several sets of rows at once, (N, k, n) to (N, dof, n).
 
         δx = −R⁻¹ Qᵀ (e − S Wᵀ L⁻¹Nᵀe).
         """
@@ -131,14 +131,14 @@ class WhiteRows:
 def turned_rows(
     pose: Array, noise: Array, sigma: Array, rows: tuple[Index, Index], columns: tuple[Index, Index]
 ) -> WhiteRows:
-    """Return what ``white_rows`` does of rows some of which have noise of their own.
+    """Return the same as ``white_rows`` for rows some of which have independent noise.
 
     Args:
         pose: B of all rows, shape (N, k, dof).
-        noise: S of the others, shape (N, i, s).
-        sigma: Standard deviations of these, above zero, shape (N, j), j ≥ dof.
-        rows: Places of the others, and of these, shapes (i,) and (j,).
-        columns: Places of the noise of the others, and of these, shapes (s,) and (j,).
+        noise: S of the other rows, shape (N, i, s).
+        sigma: Standard deviations of the independent rows, above zero, shape (N, j), j ≥ dof.
+        rows: Indices of the other rows, and of the independent ones, shapes (i,) and (j,).
+        columns: Indices of the noise of the other rows, and of the independent ones, (s,), (j,).
     """
     h, factors = np.linalg.qr(pose[:, rows[1]] / sigma[:, :, None], mode="raw")
     dof = pose.shape[2]
@@ -153,17 +153,17 @@ def turned_rows(
 
 
 def white_rows(pose: Array, noise: Array) -> WhiteRows:
-    """Return what frees the rows of N poses of these and whitens them.
+    """Return the map that eliminates N poses from their rows and whitens these.
 
     Args:
         pose: B, derivatives by the pose, shape (N, k, dof); no columns where poses are known.
         noise: S, root of the noise of what was measured, shape (N, k, s).
 
     Returns:
-        NaN at poses where B or S is not finite: those out of reach.
+        NaN at poses where B or S is not finite (out of reach).
 
     Raises:
-        MeasurementError: more exact conditions than the pose has freedoms, at some pose.
+        MeasurementError: some pose has more exact conditions than freedoms.
     """
     columns = np.concatenate((pose, noise), axis=2)
     finite = np.asarray(np.isfinite(columns).all(axis=(1, 2)))
@@ -197,7 +197,7 @@ def _root(rows: Array) -> Array:
     count, m, s = rows.shape
     if m == 1:
         return np.sqrt(rows @ rows.transpose(0, 2, 1))
-    L = np.zeros((count, m, m))  # fewer kinds of noise than rows: some of these have none
+    L = np.zeros((count, m, m))  # fewer noise columns than rows leave rows without noise
     if m and s:
         R = np.asarray(np.linalg.qr(rows.transpose(0, 2, 1), mode="r"))
         L[:, :, : min(m, s)] = R.transpose(0, 2, 1)

@@ -1,13 +1,13 @@
 """Levenberg–Marquardt on the exact problem, damped to the end: it never ends above its start.
 
-A step is judged by the conditions at its end, in the rows of its beginning (the rows follow the
-state; where they are held, the step's gradient is exact). So a step short enough always falls,
-until Jᵀ W r = 0 with W at the optimum (feasible generalised least squares). Poses follow: they are
-solved again wherever a step left them more than first order away.
+A step is judged by the conditions at its end, whitened as at its start (whitening changes with the
+state; held fixed, the step's gradient is exact). So a step that is short enough always lowers the
+cost, until Jᵀ W r = 0 with W at the optimum (feasible generalised least squares). Poses are solved
+again wherever a step left them more than first order away from their optimum.
 
-The last steps take the conditions at adjusted readings. Derivatives at readings as measured follow
-their noise, and a sum over many rows does not forget that (errors in variables: a gain comes out
-too small). The Gauss–Helmert model takes them where its own corrections ν lead: e(ψ + σν) − S ν,
+The last steps take the conditions at adjusted readings. Derivatives at measured readings are
+correlated with their noise, and a sum over many rows keeps that bias (errors in variables: a gain
+comes out too small). The Gauss–Helmert model evaluates e(ψ + σν) − S ν at its own corrections ν,
 with A, B and S there. (E. M. Mikhail and F. Ackermann, Observations and Least Squares, 1976,
 chapter 9; A. J. Pope, Some pitfalls to be avoided in the iterative adjustment of nonlinear
 problems, 1972.)
@@ -28,25 +28,25 @@ from pincal.types import Array, Mask
 # Where a search ends, distances in standard errors:
 NO_STEP = 1e-9  # distance from the optimum at which it ends
 SLOW = 1e-6  # distance below which each step must halve it
-NEGLIGIBLE = 1e-3  # distance that counts as converged where no step falls further
-_STAYS = 1e-3  # share by which a step must shorten the distance where the cost is blind to it
-_ROUNDING = 1e-10  # share of the cost below which predicted falls cannot be judged by it
-ROWS_FOLLOW = 1e-3  # share of the cost by which it may grow as rows follow the state
-# How many evaluations of the conditions it may take:
+NEGLIGIBLE = 1e-3  # distance that counts as converged where no step lowers the cost
+_STAYS = 1e-3  # least relative decrease of the distance where the cost is blind to a step
+_ROUNDING = 1e-10  # predicted relative decrease of the cost below which rounding dominates
+ROWS_FOLLOW = 1e-3  # relative increase of the cost allowed because whitening changes
+# Largest numbers of evaluations of the conditions:
 _EVALUATIONS = 1000
 _LONGER = 3  # times as many within a standard deviation of the optimum: in a curved valley
-_ASTRAY_EVALUATIONS = 100  # while the conditions are farther off than this
+_ASTRAY_EVALUATIONS = 100  # while the cost of a condition is above _FAR
 _FAR = 1e6  # cost of a condition: a thousand standard deviations, no correction of a machine
 _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
-_BENT = 0.75  # of the length of a step, by which it may be bent
-_GROWTH = 4.0  # less than a good step takes off: else every other one is refused in a valley
-# How readings are adjusted:
-_CORRECTIONS = 4  # corrections of the readings in a step, at most
-_UNCHANGED = 1e-3  # standard deviations by which corrections may still change
-# How poses are solved:
-_POSE_STEPS, _POSE_SMALL, _POSE_LARGEST = 10, 1e-4, 0.2  # solved again until first order away
+_BENT = 0.75  # largest length of a bend relative to its step
+_GROWTH = 4.0  # of the damping; below the 10 of a good step, else a valley refuses every other one
+# Adjustment of readings:
+_CORRECTIONS = 4  # largest number of corrections of the readings in a step
+_UNCHANGED = 1e-3  # change of the corrections, in standard deviations, that is negligible
+# Solving poses:
+_POSE_STEPS, _POSE_SMALL, _POSE_LARGEST = 10, 1e-4, 0.2  # largest number; lengths of steps
 _SHORTEST = 1e-2  # share of a step: poses that need shorter ones stay where they are
-_ASTRAY = 1e-3  # of the machine's size, or [rad]: a pose that wants to move farther is not solved
+_ASTRAY = 1e-3  # of the machine's size, or [rad]: a pose with a longer step is not solved
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class SolverResult:
     """Where a search ended."""
 
     last: Linear
-    """Conditions at the end, at readings as measured."""
+    """Conditions at the end, at measured readings."""
     weights: Array
     """Weights of the rows, shape (N,)."""
     scale: float
@@ -64,26 +64,26 @@ class SolverResult:
     distance: float
     """Distance of the optimum, to first order, in standard errors."""
     converged: bool
-    """Whether that is negligible, or rounding."""
+    """Whether the distance is negligible, or rounding."""
 
 
 class Iterate(NamedTuple):
-    """A state that the search has reached, and the step that leads on from there."""
+    """A state of the search, and the normal equations of its next step."""
 
     linear: Linear
-    """Conditions at readings as measured, poses solved."""
+    """Conditions at measured readings, poses solved."""
     judged: Linear
-    """Conditions by which steps are taken and judged: the same, or those at adjusted readings."""
+    """Conditions that steps minimise: ``linear``, or the conditions at adjusted readings."""
     weights: Array
     scale: float
     cost: float
-    """Weighted sum of squares, the priors' included."""
+    """Weighted sum of squares, priors included."""
     normal: NormalEquations
     """Normal equations of the next step."""
 
     @classmethod
     def of(cls, system: System, linear: Linear) -> Iterate:
-        """Return the iterate of a system at conditions."""
+        """Return the iterate at given conditions."""
         judged = adjusted(linear) if system.adjusted else linear
         weights, scale = system.weights(linear.squares)
         cost = system.cost(judged, weights)
@@ -91,11 +91,11 @@ class Iterate(NamedTuple):
 
     @property
     def blind(self) -> bool:
-        """Whether the next step changes the cost by less than rounding errors do."""
+        """Whether the next step changes the cost by less than rounding errors."""
         return self.normal.decrement**2 <= _ROUNDING * self.cost
 
     def limit(self, max_evaluations: int | None) -> int:
-        """Return how many evaluations a search may take that has come here."""
+        """Return the largest number of evaluations of a search that has reached this state."""
         size = self.linear.residuals.size
         near = self.normal.decrement**2 * size <= self.cost
         limit = max_evaluations or _EVALUATIONS * (_LONGER if near else 1)
@@ -110,8 +110,8 @@ def search(
     Args:
         system: What is minimised.
         start: The conditions where the search begins, poses solved.
-        highest: Cost above which no step is taken, if that at the start is not lower.
-        enough: Distance from the optimum in standard deviations of residuals at which to stop.
+        highest: Cost above which no step is accepted; at least the cost at the start.
+        enough: Distance from the optimum, in standard deviations of residuals, at which to stop.
     """
     current, damping, growth = Iterate.of(system, start), 0.0, _GROWTH
     evaluations, highest = 1, max(current.cost, highest)
@@ -127,7 +127,7 @@ def search(
         trial, step, count = _step(system, current, damping, fixed_poses, highest)
         evaluations += count
         if trial is not None:
-            # 2. Taken: less damping where the fall is as predicted.
+            # 2. Accepted: less damping where the cost falls as predicted.
             factor, at_end = _judged(system, current, trial, step)
             damping, growth = damping * factor, _GROWTH
             damping *= damping > _DAMPING[0]  # none below the least
@@ -137,7 +137,7 @@ def search(
             if at_end:
                 break
         elif (astray := unsolved(current.linear) & ~fixed_poses).any():
-            # 3. Not taken: poses that find no place stay where they are from now on.
+            # 3. Refused: poses that cannot be solved stay where they are from now on.
             fixed_poses, cost_when_fixed = fixed_poses | astray, current.cost
         elif current.blind:
             break
@@ -162,15 +162,15 @@ def search(
 def optimum(
     system: System, start: Linear, highest: float, evaluations: int, *, near: bool
 ) -> SolverResult:
-    """Return the optimum with all conditions at adjusted readings, or without where none exist.
+    """Return the optimum at adjusted readings, or at measured ones where the former does not exist.
 
     Args:
         system: What is minimised.
         start: The conditions where the search begins, poses solved.
-        highest: As in ``search``, cost above which no step is taken.
-        evaluations: How many it took to come here.
-        near: Whether the start is near such an optimum, of other noise or rows: the search for that
-            without adjustment would lead away.
+        highest: As in ``search``, cost above which no step is accepted.
+        evaluations: Evaluations of the conditions so far.
+        near: Whether the start is near the optimum at adjusted readings, of other noise or rows: a
+            search at measured readings would lead away from it.
     """
     adjusts = system.problem.latent and np.nanmax(system.problem.leg_block.sigma, initial=0.0) > 0.0
     with_adjustment = replace(system, adjusted=True)
@@ -185,7 +185,7 @@ def optimum(
 
 
 def _if_any(system: System, start: Linear) -> SolverResult | None:
-    """Return where a search ends; None if it comes to conditions that do not exist."""
+    """Return where a search ends; None if it reaches conditions that do not exist."""
     try:
         with np.errstate(all="ignore"):
             return search(system, start)
@@ -194,10 +194,10 @@ def _if_any(system: System, start: Linear) -> SolverResult | None:
 
 
 def adjusted(linear: Linear) -> Linear:
-    """Return the conditions at adjusted readings, less what the adjustment makes of them.
+    """Return the conditions e(ψ + σν) − S ν at adjusted readings.
 
-    Corrections follow from the conditions at the readings that they correct: found again until
-    they stay.
+    The corrections ν depend on the conditions at the readings that they correct, so they are
+    iterated to a fixed point.
     """
     problem, block = linear.problem, linear.problem.leg_block
     noise = np.zeros_like(block.sigma)
@@ -224,11 +224,11 @@ def _tolerance(system: System, current: Iterate, enough: float) -> float:
 
 
 def _better(system: System, current: Iterate, trial: Iterate, highest: float) -> bool:
-    """Return whether a step is taken: the cost falls, or, where it is blind, the distance does.
+    """Return whether a step lowers the cost or, where rounding hides that, the distance.
 
-    In the weights of its beginning: what a loss minimises lies below (majorisation). Far from the
-    optimum, where rows turn with the state, in the rows of its end; near it, of its beginning if
-    the distance falls, too: else steps go back and forth.
+    The cost takes the weights at the start of the step, which bound a robust cost from above
+    (majorisation). Rows are whitened as at the end of the step; near the optimum as at its start,
+    if the distance falls too: otherwise steps go back and forth.
     """
     nearer = trial.normal.decrement < current.normal.decrement
     if current.blind:
@@ -242,9 +242,9 @@ def _better(system: System, current: Iterate, trial: Iterate, highest: float) ->
 
 
 def _judged(system: System, current: Iterate, trial: Iterate, step: Array) -> tuple[float, bool]:
-    """Return the factor on the damping after a step, by its fall over the predicted one.
+    """Return the factor on the damping by the actual over the predicted decrease of the cost.
 
-    And whether nothing but rounding is left to gain by steps that the cost is blind to.
+    Also return whether rounding leaves nothing to gain.
     """
     costs = [system.cost(trial.judged, current.weights, rows) for rows in (current.judged, None)]
     gain = (current.cost - min(costs)) / max(current.normal.fall(step), 1e-300)
@@ -256,10 +256,10 @@ def _judged(system: System, current: Iterate, trial: Iterate, step: Array) -> tu
 def _step(
     system: System, current: Iterate, damping: float, fixed_poses: Mask, highest: float
 ) -> tuple[Iterate | None, Array, int]:
-    """Return where a damped step leads if it is taken, the step, and the evaluations it took.
+    """Return the end of a damped step (None if refused), the step, and its evaluations.
 
-    One that leads too high, in a curved valley, is bent by what the conditions at its end are off
-    from a straight course (M. K. Transtrum and J. P. Sethna 2012), unless that is as long itself.
+    A step that is refused, as in a curved valley, is bent by how far the conditions at its end are
+    from linear (M. K. Transtrum and J. P. Sethna 2012), unless the bend is nearly as long.
     """
     normal, linear, T = current.normal, current.judged, system.unknowns.map
     step = normal.step(damping)
@@ -284,9 +284,9 @@ def _step(
 def _reached(
     system: System, current: Iterate, step: Array, fixed_poses: Mask
 ) -> tuple[Iterate | None, int]:
-    """Return where a step of the free unknowns leads, poses solved, and the evaluations it took.
+    """Return the end of a step of the free unknowns, poses solved, and its evaluations.
 
-    None where conditions do not exist. Fixed poses stay where they are.
+    The end is None where the conditions do not exist. Fixed poses stay where they are.
     """
     try:
         with np.errstate(all="ignore"):
@@ -301,7 +301,7 @@ def _reached(
 
 
 def rounding(system: System, linear: Linear) -> float:
-    """Return the decrement that rounding errors of the conditions make."""
+    """Return the decrement that rounding errors of the conditions cause."""
     rows = max(linear.residuals.size, 1)
     of_chain = 2.0 * np.finfo(float).eps * system.problem.size
     noise = of_chain * np.linalg.norm(linear.white.whitener)
@@ -309,10 +309,10 @@ def rounding(system: System, linear: Linear) -> float:
 
 
 def solve_poses(linear: Linear, fixed_poses: Mask | None = None) -> tuple[Linear, int]:
-    """Return the conditions with poses at their optimum, to second order, and the evaluations.
+    """Return the conditions with poses solved to second order, and the evaluations.
 
-    Gauss–Newton steps of each pose alone, shortened until the next one is shorter (natural
-    monotonicity); a pose that finds none stays where it is.
+    Each pose takes Gauss–Newton steps, shortened until the next step is shorter (natural
+    monotonicity); a pose without such a step stays where it is.
     """
     problem, count, poses = linear.problem, 0, len(linear.conditions)
     if not problem.latent:
@@ -342,9 +342,9 @@ def unsolved(linear: Linear) -> Mask:
 
 
 def _pose_steps(linear: Linear) -> tuple[Array, Array]:
-    """Return the poses' steps, shape (N, dof), and their lengths over the machine's size, (N,).
+    """Return the pose steps, (N, dof), and their lengths relative to the machine's size, (N,).
 
-    Steps that are not finite count as none.
+    Steps that are not finite are zero.
     """
     problem = linear.problem
     scale = [problem.size if unit == "m" else 1.0 for unit in problem.platform.units]

@@ -1,10 +1,10 @@
 """Where a search begins: poses and frames by least squares at the nominal parameters.
 
-Every condition counts as a length: the start asks only for geometry. Where readings fix poses,
-they are followed from home to those measured, so that the assembly mode stays that of home; then
-the rigid motion that takes the targets there to where they were measured (Kabsch 1976), in turn
-with targets whose place on the platform is unknown. Rows with a gross error are found by the
-alignment of least absolute distances, and left out.
+Every condition counts as a length: the start is a matter of geometry alone. Where readings fix the
+poses, these are followed from the readings at home to the measured ones, which keeps the assembly
+mode of home. Then follows the rigid motion from the targets at these poses to the measured targets
+(Kabsch 1976), in turn with the places of unknown targets on the platform. Rows with a gross error
+are recognised by an alignment of least absolute distances, and left out.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from pincal.model.relations import ORIGIN
 from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 
-_STEPS, _LARGEST, _SMALL = 60, 0.2, 1e-7  # of the search: how many, the largest, the last
-_USUAL = 3.0  # times the median gap, up to which readings leave what contradicting ones do
-_DRIVE_STEPS = 5  # steps from the readings at home to those measured
-_CLOSES = 1e-3  # share of a leg's size: a gap that contradicting readings leave
-_CONTRADICTS = 0.03  # share of the mechanism's size, median over rows: nothing is identified
-_TURNS = 50  # turns of frame and offsets, at most
-_MOST = 100  # evaluations by which what instruments alone see is placed
-_STILL = 1e-6  # share of the poses' extent below which offsets no longer move
-_MISFIT = 0.05  # share of the measured points' extent, up to which a row agrees with most
-_GROSS = 10.0  # times the usual miss from which a row says nothing of frame and target
+_STEPS, _LARGEST, _SMALL = 60, 0.2, 1e-7  # largest number of steps, longest and last step
+_USUAL = 3.0  # gap over the median gap, up to which redundant readings agree
+_DRIVE_STEPS = 5  # steps from the readings at home to the measured ones
+_CLOSES = 1e-3  # gap over a leg's size, up to which a leg closes
+_CONTRADICTS = 0.03  # median misfit over the mechanism's size, above which nothing is identified
+_TURNS = 50  # largest number of alternations of frame and offsets
+_MOST = 100  # largest number of evaluations to place what instruments alone see
+_STILL = 1e-6  # change of offsets over the poses' extent that is negligible
+_MISFIT = 0.05  # misfit over the extent of the measured points, up to which a row agrees
+_GROSS = 10.0  # misfit over the median misfit, above which a row is left out
 
 
 def align_start(
@@ -53,7 +53,7 @@ def align_start(
 ) -> State:
     """Return poses and external unknowns from which the search may start.
 
-    Parameters are the nominal ones of all legs, shape (n_params,).
+    ``parameters`` are the nominal values of all legs, shape (n_params,).
     """
     observation, platform = problem.observation, problem.platform
     external, outside = observation.external.start, observation.external
@@ -85,9 +85,9 @@ def align_start(
 
 
 def _outside_started(problem: Problem, state: State) -> State:
-    """Return the state with what instruments and contacts alone see at least squares.
+    """Return the state with the unknowns that only instruments and contacts see at least squares.
 
-    If poses are fixed without them. What contacts touch is where most of their rows agree.
+    They are placed if the poses are fixed without them; touched features where most rows agree.
     """
     from scipy.optimize import least_squares  # slow to load: when needed
 
@@ -95,7 +95,7 @@ def _outside_started(problem: Problem, state: State) -> State:
     outside, contacts = observation.external, observation.setup.contact_axes(problem.platform)
     columns = [name for device in observation.setup.instruments for name in device.columns]
     columns += chain(*contacts.values())
-    dependent = {*columns, *observation.setup.between}  # what is where contacts touch
+    dependent = {*columns, *observation.setup.between}  # quantities that need touched features
     independent = observation.only([name for name in observation.names if name not in dependent])
     without = replace(problem, observation=independent)
     if not columns or (without.equations < 0).any():
@@ -116,7 +116,7 @@ def _outside_started(problem: Problem, state: State) -> State:
     by_prior = usual / outside.priors[roughly, None] * by_free[roughly]
     nominal = outside.coordinates(outside.start)[roughly]
 
-    @lru_cache(maxsize=1)  # slopes are asked for where rows were missed last
+    @lru_cache(maxsize=1)  # slopes are asked for where residuals were evaluated last
     def rows_at(*values: float) -> tuple[Array, Array]:
         moved = outside.moved(external, by_free @ values)
         value, _, by_outside = dependent_rows.residuals(matrices, moved)
@@ -135,7 +135,7 @@ def _outside_started(problem: Problem, state: State) -> State:
 
 
 def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
-    """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
+    """Return which poses close all legs in the working and assembly modes of home, shape (N,)."""
     block, redundant = problem.leg_block, mechanism.redundant
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
     joints = state.joints or [None] * len(legs)
@@ -156,9 +156,9 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
 
 
 def placed(problem: Problem, data: Measurements, parameters: Array, external: External) -> State:
-    """Return poses as measured, what was not measured as at home; orientations in full or not.
+    """Return poses as measured; coordinates that were not measured are those of home.
 
-    Parameters are those of all legs, shape (n_params,).
+    An orientation is taken as a whole. ``parameters`` are of all legs, shape (n_params,).
     """
     platform = problem.platform
     partly = np.where(np.isfinite(data.poses), data.poses, platform.home)
@@ -177,10 +177,10 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
 
 
 def poses_at_rest(linear: Linear) -> Linear:
-    """Return the conditions with each pose at its least squares, parameters and frames as they are.
+    """Return the conditions with each pose at least squares, parameters and frames held fixed.
 
-    Each pose has a damping of its own (Levenberg–Marquardt). Poses that find no place remain
-    where they came to; the search that follows moves them on.
+    Each pose has its own damping (Levenberg–Marquardt). Poses that do not converge stay where they
+    ended; the search that follows moves them on.
     """
     problem, platform, size = linear.problem, linear.problem.platform, linear.problem.size
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
@@ -208,7 +208,7 @@ def poses_at_rest(linear: Linear) -> Linear:
 
 
 def _arms(problem: Problem, units: Sequence[str], by_pose: Array) -> Array:
-    """Return what makes lengths of residuals, shape (k,): of pixels by how poses move them."""
+    """Return factors, shape (k,), that turn residuals into lengths (pixels: by a pose's effect)."""
     arms = np.array([problem.size if unit == "rad" else 1.0 for unit in units])
     pixels = np.array([unit == "px" for unit in units], dtype=bool)
     moved = np.linalg.norm(by_pose[:, pixels, :3], axis=2)
@@ -218,12 +218,12 @@ def _arms(problem: Problem, units: Sequence[str], by_pose: Array) -> Array:
 
 
 def check_start(problem: Problem, state: State) -> None:
-    """Raise if readings and what was measured cannot both be the nominal mechanism's.
+    """Raise if readings and measured positions contradict each other in the nominal mechanism.
 
-    At poses of least squares, by what legs and measured lengths miss together.
+    They do by the misfit of legs and measured lengths at poses of least squares.
 
     Raises:
-        MeasurementError: by how much they miss.
+        MeasurementError: the misfit is too large; the message says how large.
     """
     linear = poses_at_rest(problem.evaluate(state))
     size, setup = problem.size, problem.observation.setup
@@ -250,17 +250,17 @@ def aligned(
 ) -> tuple[External, Mask]:
     """Return the external unknowns that take the targets to where they were measured.
 
-    Frame and unknown offsets in turn, each by least squares with the others as they are, of the
-    rows that agree with most others on frame and offsets.
+    Frame and unknown offsets are found in turn by least squares, from the rows that agree with
+    most other rows.
 
     Args:
         problem: The problem.
         data: The measurements.
-        state: The nominal machine, poses where its readings put it.
-        reached: Which poses the readings give, shape (N,).
+        state: The nominal machine at the poses of its readings.
+        reached: Which poses the readings determine, shape (N,).
 
     Returns:
-        Also which rows agree with the others on them, shape (N,).
+        The external unknowns, and which rows agree on them, shape (N,).
     """
     observation, platform = problem.observation, problem.platform
     targets = observation.setup.targets
@@ -270,10 +270,10 @@ def aligned(
         if contact.points[point] is not None and contact.shape == "point":
             measured[list(targets).index(contact.target), rows] = contact.points[point]
     known = agreeing = reached & np.isfinite(measured).all(axis=2)
-    if known.any():  # those that miss the alignment of least absolute values by no gross multiple
+    if known.any():  # rows agree that an alignment of least absolute distances does not miss
         far = np.linalg.norm(measured - np.median(measured[known], axis=0), axis=2)
         extent = max(float(np.median(far[known])), 1e-300)
-        weights = np.where(known, extent / np.maximum(far, extent), 0.0)  # none more than most
+        weights = np.where(known, extent / np.maximum(far, extent), 0.0)  # far points weigh less
         missed = _in_turn(problem, state, measured, weights, absolute=True)[-1]
         usual = float(np.median(missed[known]))
         agreeing = known & (missed <= max(_GROSS * usual, _MISFIT * extent))
@@ -293,10 +293,10 @@ def aligned(
 def _in_turn(
     problem: Problem, state: State, measured: Array, weights: Array, *, absolute: bool = False
 ) -> tuple[Array, Array, Array]:
-    """Return frame (4, 4), offsets (n_targets, 3) and misses (n_targets, N), [m].
+    """Return frame (4, 4), offsets (n_targets, 3) and misfits (n_targets, N), [m].
 
-    Weights are of squares, 0 where a target was not measured, shape (n_targets, N); or, where
-    absolute distances are summed, those with which that begins.
+    Weights, shape (n_targets, N), multiply squares, and are 0 where a target was not measured; with
+    ``absolute`` they are where the reweighting for least absolute distances begins.
     """
     setup, platform = problem.observation.setup, problem.platform
     R, r = state.matrices[:, :3, :3], state.matrices[:, :3, 3]
@@ -325,7 +325,7 @@ def _in_turn(
 
 
 def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform) -> Array:
-    """Return the rigid motion that takes points to others, homogeneous, shape (4, 4)."""
+    """Return the rigid motion (4, 4) of least squares from nominal to measured points."""
     if not len(nominal):
         raise MeasurementError(
             "the frame of the measurements is unknown and cannot be aligned: in no row with a "

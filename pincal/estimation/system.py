@@ -1,9 +1,9 @@
 """What a search minimises: weighted rows and priors in the free unknowns, as normal equations.
 
-A robust loss judges a row as a whole, by the sum of its squared residuals in standard deviations,
-which of good rows is χ² with as many degrees of freedom as the row gives equations. Tuning
-constants are those in use for one residual (Huber 1.345, Cauchy 2.385, Tukey 4.685: 95 %
-efficiency), carried to more by equal probability.
+A robust loss judges a row as a whole, by the sum of its squared residuals in standard deviations:
+χ², for a good row, with as many degrees of freedom as it has equations. Tuning constants are the
+usual ones of a single residual (Huber 1.345, Cauchy 2.385, Tukey 4.685: 95 % efficiency), carried
+over to several residuals by equal probability.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from pincal.estimation.unknowns import Unknowns
 from pincal.types import Array, Index, Mask
 
 LossName = Literal["none", "huber", "cauchy", "tukey", "reject"]
-UNLIKELY = 1e-3  # probability that a good row is left out; that fit and held-out rows part
-_STEP = 1e-4  # of the logarithm of a residual, for slopes
+UNLIKELY = 1e-3  # probability that a good row is rejected, or that sound held-out rows disagree
+_STEP = 1e-4  # step in the logarithm of a residual, for slopes by differences
 _LEAST_BEND = 1e-2
-CLEAR = 3.0  # standard errors, from which what is seen is there
-FALSE_ALARM = 0.01  # probability of anything found, of a kind, where the model holds
+CLEAR = 3.0  # standard errors above which an effect is significant
+FALSE_ALARM = 0.01  # probability of any finding of one kind where the model holds
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class Loss:
     weigh: Callable[[Array], Array]
     """Weight by the root of χ² over the tuning constant."""
     probability: float
-    """Probability below which a good row's χ² lies under the square of the constant."""
+    """Probability with which a good row's χ² is below the square of the tuning constant."""
 
     def constant(self, equations: Index) -> Array:
-        """Return the tuning constant of rows by their number of equations, same shape."""
+        """Return the tuning constants of rows with given numbers of equations, same shape."""
         return np.sqrt(_quantile(self.probability, np.maximum(equations, 1)))
 
     def weights(self, squares: Array, equations: Index) -> Array:
-        """Return the weight of each row, shape (N,), by its χ² and its number of equations."""
+        """Return the weights of rows, shape (N,), from their χ² and numbers of equations."""
         return self.weigh(np.sqrt(squares) / self.constant(equations))
 
     def slope(self, squares: Array, equations: Index) -> Array:
@@ -53,7 +53,7 @@ class Loss:
         return np.asarray((upper - less) / (2.0 * np.sinh(h)))
 
     def bend(self, squares: Array, equations: Index) -> Array:
-        """Return that over the weight, above zero as the cost must rise on both sides, (N,)."""
+        """Return the slope over the weight, (N,), not below a least curvature above zero."""
         w = self.weights(squares, equations)
         bend = np.divide(self.slope(squares, equations), w, out=np.ones_like(w), where=w > 0.0)
         return np.clip(bend, _LEAST_BEND, 1.0)
@@ -61,11 +61,11 @@ class Loss:
     def moments(
         self, squares: Array, equations: Index, free: int = 0
     ) -> tuple[float, float, float]:
-        """Return slope and square of ψ of rows that fit, and Huber's factor for few of them.
+        """Return the mean slope of ψ, its mean square, and Huber's small-sample factor.
 
-        Over all n equations and p free parameters: m, the mean of ψ's slopes (w across the
-        residuals, d(u w)/du along them), the square Σ w² d² / (n − p), and K = 1 + (p / n) v / m²,
-        v the slopes' variance (P. J. Huber, Robust Statistics, 1981, 7.6).
+        With n equations and p free parameters: m, the mean of ψ's slopes (w across the residuals,
+        d(u w)/du along them), the mean square Σ w² d² / (n − p), and K = 1 + (p / n) v / m², v the
+        variance of the slopes (P. J. Huber, Robust Statistics, 1981, 7.6).
         """
         k, w = equations.astype(float), self.weights(squares, equations)
         n, along = max(float(k.sum()), 1.0), self.slope(squares, equations)
@@ -84,14 +84,14 @@ LOSSES: dict[str, Loss] = {
 
 
 def outlying(squares: Array, equations: Index) -> Mask:
-    """Return which rows have a χ² that one good row in a thousand exceeds, shape (N,)."""
+    """Return which rows have a χ² that only one good row in a thousand exceeds, shape (N,)."""
     return np.asarray(squares > chdtri(np.maximum(equations, 1), UNLIKELY))
 
 
 def suspected(squares: Array, equations: Index) -> Mask:
-    """Return which rows are outliers however many there are (S. Holm 1979), shape (N,).
+    """Return which rows are outliers by Holm's procedure (S. Holm 1979), shape (N,).
 
-    Of good data, one set of rows in a hundred has any.
+    One sound set of rows in a hundred has any, however many rows it has.
     """
     p = chdtrc(np.maximum(equations, 1), squares)
     order = np.argsort(p)
@@ -102,9 +102,9 @@ def suspected(squares: Array, equations: Index) -> Mask:
 
 
 def robust_scale(squares: Array, equations: Index, share: float) -> float:
-    """Return the scale of the noise that the median of the rows' χ² tells.
+    """Return the scale of the noise by the median of the rows' χ².
 
-    Residuals of a fit are smaller than the noise, by the share of degrees of freedom in equations.
+    ``share`` is degrees of freedom over equations: a fit leaves that part of the squared noise.
     """
     counts = equations > 0
     ratio = squares[counts] / _quantile(0.5, equations[counts])
@@ -112,10 +112,10 @@ def robust_scale(squares: Array, equations: Index, share: float) -> float:
 
 
 def loss_of(loss: LossName | Loss) -> Loss | None:
-    """Return a loss by its name, or one of one's own; none for ``"none"``.
+    """Return a loss by its name, or the loss itself; None for ``"none"``.
 
     Raises:
-        MeasurementError: no such loss.
+        MeasurementError: the name is unknown.
     """
     if isinstance(loss, Loss):
         return loss
@@ -129,14 +129,14 @@ def loss_of(loss: LossName | Loss) -> Loss | None:
 
 
 def _quantile(probability: Array | float, equations: Index | int) -> Array:
-    """Return what χ² lies below with a probability; a slow function, so of each number once."""
+    """Return quantiles of χ²; the function is slow, so it is called once for each number."""
     counts, places = np.unique(equations, return_inverse=True)
     return np.asarray(2.0 * gammaincinv(counts / 2.0, probability)[places])
 
 
 @dataclass(frozen=True)
 class System:
-    """The weighted rows of a problem and its priors, in the free unknowns."""
+    """The weighted rows of a problem and its priors as functions of the free unknowns."""
 
     problem: Problem
     unknowns: Unknowns
@@ -146,20 +146,20 @@ class System:
     """Whether the scale of the noise is known."""
     loss: Loss | None = None
     max_evaluations: int | None = None
-    """Evaluations of the conditions after which a search stops; a usual number if None."""
+    """Evaluations of the conditions after which a search stops; None for the usual number."""
     held_scale: float | None = None
-    """Scale of the noise that a loss goes by; by the rows in the middle if not given."""
+    """Scale of the noise for a robust loss; None to estimate it by the median χ² of the rows."""
     adjusted: bool = False
-    """Whether conditions are those at adjusted readings."""
+    """Whether conditions are taken at adjusted readings."""
     progress: Callable[[str], None] | None = None
-    """Called with what is being done."""
+    """Called with a text that says what is being done."""
 
     def with_priors(self, priors: Array) -> System:
         """Return the system with other standard deviations of nominal values, shape (n,)."""
         return replace(self, unknowns=replace(self.unknowns, priors=priors))
 
     def weights(self, squares: Array) -> tuple[Array, float]:
-        """Return the weight of each row, by its χ², shape (N,), and the scale of the noise."""
+        """Return the weights of rows, shape (N,), by their χ², and the scale of the noise."""
         weights = self.kept.astype(float)
         if self.loss is None:
             return weights, 1.0
@@ -167,20 +167,20 @@ class System:
         return weights * self.loss.weights(squares / scale**2, self.problem.equations), scale
 
     def scale(self, squares: Array) -> float:
-        """Return the scale of the noise by the χ² of the rows in the middle."""
+        """Return the scale of the noise by the median χ² of the rows."""
         equations = self.problem.equations[self.kept]
         share = 1.0 - self.unknowns.n_free / max(int(equations.sum()), 1)
         return robust_scale(squares[self.kept], equations, max(share, 0.1))
 
     def triangle(self, linear: Linear, weights: Array, bend: Array | None = None) -> Array:
-        """Return R of the Jacobian in the free unknowns beside the residuals, with priors.
+        """Return R of the Jacobian by the free unknowns and the residuals, with priors.
 
             ┌ J  r ┐
-            │ J  r │ = Q R      one block row a pose, those of the priors above
+            │ J  r │ = Q R      priors first, then one block row a pose
             └ ⋮  ⋮ ┘
 
-        Shape (n_free + 1, n_free + 1), by weights of rows, shape (N,), and the curvature of a loss
-        along each row's residuals over its weight, (N,).
+        R has shape (n_free + 1, n_free + 1). ``weights``, (N,), are of rows; ``bend``, (N,), is the
+        curvature of a robust loss along each row's residuals over its weight.
         """
         r, J = self.unknowns.prior_rows(self.problem.values(linear.state))
         n = self.unknowns.n_free
@@ -198,14 +198,14 @@ class System:
     def cost(
         self, linear: Linear, weights: Array | None = None, frame: Linear | None = None
     ) -> float:
-        """Return what is minimised, in own weights and rows if not in those of another state."""
+        """Return the minimised cost, by default with this state's own weights and whitening."""
         weights = self.weights(linear.squares)[0] if weights is None else weights
         value = (frame or linear).whitened(linear.conditions)
         prior, _ = self.unknowns.prior_rows(self.problem.values(linear.state))
         return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
 
     def solve(self, linear: Linear, weights: Array, scale: float) -> NormalEquations:
-        """Return the normal equations in square-root form, a loss with its curvature."""
+        """Return the normal equations in square-root form, with the curvature of a robust loss."""
         bend = None
         if self.loss is not None:
             bend = self.loss.bend(linear.squares / scale**2, linear.equations)
@@ -213,7 +213,7 @@ class System:
 
 
 def bent(J: Array, r: Array, root: Array) -> tuple[Array, Array]:
-    """Return rows whose squares have the curvature of a loss along them, and its gradient.
+    """Return rows whose sum of squares has the gradient and the curvature of a robust loss.
 
     B. Triggs et al., Bundle adjustment (2000), 4.3. Shapes (N, m, n), (N, m) and (N,).
     """
@@ -224,23 +224,23 @@ def bent(J: Array, r: Array, root: Array) -> tuple[Array, Array]:
 
 
 class NormalEquations(NamedTuple):
-    """R δz = −c of Q R = J, columns of J of unit length; rows of the priors are among those of J.
+    """R δz = −c of Q R = J, where J includes the priors and has columns of unit length.
 
-    Least squares with J take up Q c of the residuals and leave r − Q c.
+    The least-squares step removes Q c from the residuals and leaves r − Q c.
     """
 
     lengths: Array
-    """Of the columns of J, shape (n,)."""
+    """Lengths of the columns of J, shape (n,)."""
     R: Array
     """Shape (n, n)."""
     c: Array
     """Qᵀ r, shape (n,)."""
     left: float
-    """Square of what is left of the residuals, |r − Q c|²."""
+    """Squared norm of the remaining residuals, |r − Q c|²."""
 
     @classmethod
     def of(cls, triangle: Array) -> NormalEquations:
-        """Return the normal equations of R of Jacobian and residuals, shape (n + 1, n + 1)."""
+        """Return the normal equations from R of Jacobian and residuals, shape (n + 1, n + 1)."""
         n = len(triangle) - 1
         lengths = np.linalg.norm(triangle[:n, :n], axis=0)
         lengths[lengths == 0.0] = 1.0
@@ -259,15 +259,15 @@ class NormalEquations(NamedTuple):
 
     @property
     def decrement(self) -> float:
-        """How far the optimum is, to first order: root of the fall of the cost, in σ."""
+        """Distance from the optimum to first order, in σ: root of the decrease of the cost."""
         return float(np.linalg.norm(self.c))
 
     def fall(self, step: Array) -> float:
-        """Return by how much the cost falls by a step, shape (n,), to first order."""
+        """Return the decrease of the cost by a step, shape (n,), to first order."""
         return float(self.c @ self.c - ((self.c + self.R @ (step * self.lengths)) ** 2).sum())
 
     def step(self, damping: float = 0.0) -> Array:
-        """Return the least-squares step, shape (n,); damping relative to squares of columns."""
+        """Return the step, shape (n,), damped relative to the squared lengths of the columns."""
         R, c, n = self.R, self.c, len(self.c)
         if damping > 0.0:
             R = np.concatenate((R, np.sqrt(damping) * np.eye(n)))

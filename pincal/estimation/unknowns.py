@@ -1,11 +1,10 @@
-"""What is unknown: values, which of them are free, and how steps move them.
+"""The unknowns: their values, which of them are free, and how steps move them.
 
-Unknown are the parameters of legs, poses, and what is outside a mechanism: the base frame in the
-frame of the measurements, T_frame_base; offsets of targets in the platform frame; where an unknown
-target carries an orientation, how that is turned against the platform's; what targets
-meet; and the parameters of instruments. Fixed parameters, parameters tied to one value, and gauge
-freedoms are one thing: φ = φ₀ + T z with fewer z than φ. Priors are rows beside those of the
-measurements.
+Unknown are the parameters of legs, the poses, and quantities outside the mechanism: the base frame
+in the frame of the measurements, T_frame_base; offsets of targets in the platform frame; the
+rotation of a measured orientation against the platform; features that targets touch; and the
+parameters of instruments. Fixed parameters, tied parameters and gauge freedoms are one thing:
+φ = φ₀ + T z with fewer z than φ. Priors are rows beside those of the measurements.
 """
 
 from __future__ import annotations
@@ -37,13 +36,13 @@ class External:
     """Values of the unknowns outside the mechanism."""
 
     frame: Array = field(default_factory=lambda: np.eye(4))
-    """T_frame_base, shape (4, 4); the identity where poses are those in the base frame."""
+    """T_frame_base, shape (4, 4); the identity where poses are measured in the base frame."""
     offsets: Array = field(default_factory=lambda: np.zeros((1, 3)))
     """Positions of the targets in the platform frame, shape (n_targets, 3), [m]."""
     turn: Array = field(default_factory=lambda: np.eye(3))
     """R_platform_target of the measured orientation, shape (3, 3)."""
     features: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    """Coordinates of what targets meet, each along axes of its own, shape (n_features, 6), [m] and
+    """Coordinates of touched features, each along its own axes, shape (n_features, 6), [m] and
     [rad]: see ``pincal.model.relations``."""
     instruments: Array = field(default_factory=lambda: np.zeros(0))
     """Parameters of the instruments, in their order, shape (n_own,)."""
@@ -51,15 +50,15 @@ class External:
 
 @dataclass(frozen=True)
 class State:
-    """Values of everything that is unknown."""
+    """Values of all unknowns."""
 
     parameters: Array
-    """Of the legs, shape (n_params,)."""
+    """Parameters of the legs, shape (n_params,)."""
     matrices: Array
     """Poses ``T_base_platform``, shape (N, 4, 4)."""
     joints: tuple[Array, ...] = ()
-    """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed]);
-    none before the first evaluation."""
+    """Joint positions of each leg and its deformations, shape (N, n_joints [+ n_deformed]); empty
+    before the first evaluation."""
     external: External = field(default_factory=External)
     """Unknowns outside the mechanism."""
 
@@ -70,30 +69,30 @@ class State:
 
 
 class BlockRows(NamedTuple):
-    """Residuals of one block at a state: k rows at each of N poses; zero where none is active."""
+    """Residuals of a block at a state: k rows at each of N poses, zero where not active."""
 
     value: Array
     """Residuals, shape (N, k), [m] and [rad]."""
     by_pose: Array
     """Derivatives by the platform's twist, shape (N, k, dof)."""
     by_parameter: Array
-    """Derivatives by the block's unknowns, those of all legs or external ones, shape (N, k, n)."""
+    """Derivatives by the block's unknowns: parameters of all legs, or external ones, (N, k, n)."""
     by_measured: Array
-    """Derivatives by what was measured: readings, or quantities of the platform, (N, k, m)."""
+    """Derivatives by the measurements: readings, or quantities of the platform, (N, k, m)."""
     joints: tuple[Array, ...] = ()
-    """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed])."""
+    """Joint positions of each leg and its deformations, shape (N, n_joints [+ n_deformed])."""
 
 
 class ExternalUnknowns:
-    """Which of the external values are unknown, in which order, and how steps move them.
+    """Which external values are unknown, in which order, and how steps move them.
 
-    All of them stand in one vector, six of the frame, three of each target and of the orientation's
-    turn, six of each feature that is met, then those of instruments. The unknown ones are some of
-    its entries.
+    One vector holds all external values: six of the frame, three of each target and of the
+    orientation's turn, six of each touched feature, then the parameters of instruments. The
+    unknowns are some of its entries.
     """
 
     def __init__(self, platform: Platform, setup: Setup, oriented: bool) -> None:
-        """Say what is unknown of a setup in which orientations are measured or not."""
+        """List the unknowns of a setup, in which orientations are measured or not."""
         self.setup, planar, targets = setup, platform.space == 2, setup.targets
         devices = setup.device_parameters
         self.turned = oriented and targets[ORIGIN].unknown
@@ -104,23 +103,23 @@ class ExternalUnknowns:
         free += [in_space & target.unknown for target in targets.values()]
         free += [turns & self.turned]
         features, sigmas, self.axes = setup.feature_places(platform.space)
-        """Nominal axes of features, columns, shape (n_features, 3, 3)."""
+        """Nominal axes of features as columns, shape (n_features, 3, 3)."""
         free += [sigmas.ravel() > 0.0]
         free += [np.ones(len(devices), dtype=bool)]
         self.free = np.flatnonzero(np.concatenate(free))
-        """Places of the unknowns."""
+        """Indices of the unknowns in the vector of external values."""
         self.offsets = slice(6, 6 + 3 * len(targets))
         self.turn = slice(self.offsets.stop, self.offsets.stop + 3)
         self.features = slice(self.turn.stop, self.turn.stop + features.size)
         self.own = slice(self.features.stop, self.features.stop + len(devices))
-        """Places of offsets of targets, the turn, features, and parameters of instruments."""
+        """Slices of the targets' offsets, the turn, the features and the instruments."""
         self.sigmas = sigmas
-        """Standard deviations of the features' coordinates, 0 if known, (n_features, 6)."""
+        """Standard deviations of the features' coordinates, 0 if known, shape (n_features, 6)."""
         priors = np.full(self.own.stop, np.inf)
         priors[self.features] = sigmas.ravel()
         priors[self.own] = [sigma for _, sigma in devices.values()]
         self.priors = priors[self.free]
-        """Standard deviations with which the unknowns are known beforehand, infinite if not."""
+        """Prior standard deviations of the unknowns, infinite without a prior."""
         stems = [("tracker.", "m"), ("tracker.r", "rad")]
         stems += [(f"{owner(name)}.", "m") for name in targets] + [("target.r", "rad")]
         every = [(f"{stem}{axis}", unit) for stem, unit in stems for axis in "xyz"]
@@ -134,18 +133,18 @@ class ExternalUnknowns:
         offsets = np.array([target.offset for target in targets.values()], dtype=float)
         nominal = np.array([parameter.nominal for parameter, _ in devices.values()], dtype=float)
         self.start = External(np.eye(4), offsets, np.eye(3), features, nominal)
-        """The values of the setup; the base frame is that of the measurements."""
+        """Nominal values by the setup, with the base frame equal to that of the measurements."""
 
     def __len__(self) -> int:
         return len(self.names)
 
     def sizes(self, size: float) -> Array:
-        """Return how large each unknown may be, (n,), of a machine of some size, [m]."""
+        """Return the plausible magnitude of each unknown, (n,), for a machine's size [m]."""
         return np.array([{"m": size, "px": _PIXELS}.get(unit, 1.0) for unit in self.units])
 
     @cached_property
     def of_instruments(self) -> list[Index]:
-        """Places of each instrument's parameters among those of all, of which some are shared."""
+        """Indices of each instrument's parameters among all of them; instruments may share some."""
         ids = list(self.setup.device_parameters)
         return [
             np.array([ids.index(parameter.id) for parameter in instrument.parameters], np.intp)
@@ -153,9 +152,10 @@ class ExternalUnknowns:
         ]
 
     def begun(self, values: External, poses: Array, measured: Array) -> External:
-        """Return values with those of instruments from which a search begins, by nominal poses.
+        """Return values with the instruments' parameters where the search starts.
 
-        Poses are T_frame_platform, (N, 4, 4), measured what all instruments read, (N, r).
+        ``poses`` are T_base_platform of the nominal machine, shape (N, 4, 4); ``measured`` is what
+        all instruments read, shape (N, r).
         """
         begun, known, in_frame = values.instruments.copy(), dict[str, float](), values.frame @ poses
         for instrument, places in zip(self.setup.instruments, self.of_instruments, strict=True):
@@ -168,7 +168,7 @@ class ExternalUnknowns:
         return replace(values, instruments=begun)
 
     def moved(self, values: External, step: Array) -> External:
-        """Return values after a step, shape (n,): twists of the frame about its own origin."""
+        """Return the values after a step, (n,); the frame turns about its own origin."""
         if not len(self):
             return values
         change, frame = np.zeros(self.own.stop), values.frame.copy()
@@ -184,7 +184,7 @@ class ExternalUnknowns:
         )
 
     def coordinates(self, values: External) -> Array:
-        """Return the unknowns as numbers, shape (n,), [m] and, rotation vectors, [rad]."""
+        """Return the unknowns as numbers, (n,), [m] and [rad]; rotations as rotation vectors."""
         if not len(self):
             return np.zeros(0)
         turns = Rotation.from_matrix([values.frame[:3, :3], values.turn]).as_rotvec()
@@ -192,7 +192,7 @@ class ExternalUnknowns:
         return np.concatenate([*parts, values.features.ravel(), values.instruments])[self.free]
 
     def coordinates_by_step(self, values: External) -> Array:
-        """Return the derivative of the coordinates by steps, shape (n, n): see ``moved``."""
+        """Return the derivative of ``coordinates`` by the steps of ``moved``, shape (n, n)."""
         turns = Rotation.from_matrix([values.frame[:3, :3], values.turn]).as_rotvec()
         D = np.eye(self.own.stop)
         D[3:6, 3:6], D[self.turn, self.turn] = inverse_left_jacobian(turns)
@@ -200,28 +200,28 @@ class ExternalUnknowns:
 
 
 def owner(target: str) -> str:
-    """Return the owner of a target's coordinates: ``target`` of the platform's own."""
+    """Return the owner in the ids of a target's coordinates: ``target`` for the platform's own."""
     return "target" if target == ORIGIN else target
 
 
-_SMALLEST_PRIOR = 1e-15  # [m], [rad] or [1], below which rounding is larger
-_TIED_WITHIN = 0.1  # relative or [m], [rad]: nominal values that are tied differ by no more
+_SMALLEST_PRIOR = 1e-15  # [m], [rad] or [1]; rounding is larger than smaller priors
+_TIED_WITHIN = 0.1  # relative or [m], [rad]: largest difference of nominal values that are tied
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """All parameters of a problem, leg by leg, then external ones, and which are free."""
+    """All parameters of a problem, leg by leg, then the external ones, and which are free."""
 
     labels: tuple[str, ...]
-    """Ids such as ``leg_1.l``, of external ones such as ``tracker.x``, length n."""
+    """Ids such as ``leg_1.l``, or ``tracker.x`` of an external unknown, length n."""
     start: Array
-    """φ₀: nominal values, tied ones at their mean; zero for external ones, shape (n,)."""
+    """φ₀: nominal values, tied parameters at their mean, external ones zero, shape (n,)."""
     map: Array
     """T, shape (n, n_free)."""
     priors: Array
-    """Standard deviations of the nominal values, infinite where there is none, shape (n,)."""
+    """Prior standard deviations about the nominal values, infinite without a prior, shape (n,)."""
     nominal: Array
-    """Shape (n,)."""
+    """Nominal values, shape (n,)."""
     free_labels: tuple[str, ...]
     """Ids of the free parameters, length n_free."""
 
@@ -231,18 +231,18 @@ class Unknowns:
         return self.map.shape[1]
 
     def prior_rows(self, values: Array) -> tuple[Array, Array]:
-        """Return residuals of the priors at values, (n,), in standard deviations, and by z."""
+        """Return residuals of the priors at values (n,), in σ, and their derivatives by z."""
         known = np.flatnonzero(np.isfinite(self.priors))
         sigma = self.priors[known]
         return (values[known] - self.nominal[known]) / sigma, self.map[known] / sigma[:, None]
 
     def free_rows(self, J: Array) -> Array:
-        """Return rows of all unknowns, shape (…, n), by the free ones, those of priors below."""
+        """Return derivatives by all unknowns, (…, n), as rows by the free ones, priors below."""
         _, prior = self.prior_rows(self.start)
         return np.concatenate((J.reshape(-1, J.shape[-1]) @ self.map, prior))
 
     def held(self, directions: Array) -> Unknowns:
-        """Return the unknowns with g · z = 0 from now on, for directions g of shape (k, n_free)."""
+        """Return the unknowns restricted to g · z = 0 for directions g of shape (k, n_free)."""
         lost = len(directions)
         _, R, order = qr(directions, mode="economic", pivoting=True)
         follow, lead = order[:lost], np.sort(order[lost:])
@@ -279,19 +279,19 @@ def unknowns(
 ) -> Unknowns:
     """Return the unknowns of some legs.
 
-    A parameter is said as ``l``, of every leg that has one, or as ``leg_1.l``; several by patterns
-    such as ``leg_1.*`` or ``A_*``.
+    A parameter is named ``l`` (of every leg that has one) or ``leg_1.l``; patterns such as
+    ``leg_1.*`` or ``A_*`` name several.
 
     Args:
         legs: The legs, at their nominal values.
         external: Ids of external unknowns.
         fixed: Parameters held at their nominal values.
         tied: Parameters that have one value for all legs.
-        priors: Standard deviations of nominal values, [m], [rad] or [1].
+        priors: Prior standard deviations about nominal values, [m], [rad] or [1].
 
     Raises:
-        MeasurementError: an unknown name, a tie of one leg's parameter, a parameter that is both
-            fixed and tied, or a standard deviation that is not above zero.
+        MeasurementError: a name is unknown, a tie is of one leg only, a parameter is both fixed
+            and tied, or a standard deviation is not above zero.
     """
     pairs = [(leg.name, name) for leg in legs for name in leg.parameter_names]
     nominal = np.concatenate([*(leg.nominal for leg in legs), np.zeros(len(external))])
@@ -321,7 +321,7 @@ def unknowns(
 def _tied_places(
     pairs: list[tuple[str, str]], name: str, nominal: Array, bound: set[int]
 ) -> list[int]:
-    """Return the places of parameters that are tied, of which several legs must have one alike."""
+    """Return the indices of tied parameters; several legs must have the same parameter."""
     places = _places(pairs, name)
     if len({pairs[place][1] for place in places}) > 1 or len(places) < 2 or "." in name:
         raise MeasurementError(
@@ -339,7 +339,7 @@ def _tied_places(
 
 
 def _prior_sigmas(pairs: list[tuple[str, str]], priors: Mapping[str, float], count: int) -> Array:
-    """Return standard deviations of nominal values, infinite where there is none, (count,)."""
+    """Return prior standard deviations, infinite without a prior, shape (count,)."""
     sigmas = np.full(count, np.inf)
     for name, sigma in priors.items():
         if not _SMALLEST_PRIOR <= sigma < np.inf:
@@ -352,7 +352,7 @@ def _prior_sigmas(pairs: list[tuple[str, str]], priors: Mapping[str, float], cou
 
 
 def _places(pairs: list[tuple[str, str]], wanted_name: str) -> list[int]:
-    """Return the places of the parameters that a name means."""
+    """Return the indices of the parameters that a name or pattern means."""
     places = [i for i, (leg, name) in enumerate(pairs) if means(wanted_name, leg, name)]
     if not places:
         known = dict.fromkeys(name for _, name in pairs)
