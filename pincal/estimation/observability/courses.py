@@ -1,9 +1,9 @@
-"""What residuals follow that a model lacks: errors of what was measured, each with its course.
+"""Tests of residuals for errors of measured quantities, each with a course that a model lacks.
 
-An error follows its own reading, the pose, the order of rows, the side of approach, or begins at a
-row. Each reading is asked alone, and what all readings have in common: the same error in each, or
-each its own amplitudes. Positions that drift together are a frame's. All tests are one: the
-probability that so much is found anywhere if nothing is there.
+An error may depend on its own reading, the pose, the order of rows or the side of approach, or
+begin at some row (a step). Each reading is tested alone, and all readings together, with the same
+error in each or with separate amplitudes. Positions that drift together belong to a frame. All
+tests are combined into one: the probability of any such finding by chance.
 """
 
 from __future__ import annotations
@@ -26,69 +26,69 @@ from pincal.types import Array, Index
 _HARMONICS = (1, 2, 3)
 _MAX_SLIPS = 3
 _FLAT = 0.01
-"""Of the widest coordinate of its unit: what varies less has no effect to be seen."""
+"""Range of a coordinate over the widest of its unit, below which it has no visible effect."""
 ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
-"""All readings; all positions, in a frame that moves; all lengths, which grow."""
+"""Errors of all readings; of all positions, in a moving frame; of all lengths, which grow."""
 What = Literal["frame", "target", "orientation", "reading"]
 
 
 class Score(NamedTuple):
-    """One test: which quantity, which course, and how probable by chance."""
+    """Result of one test: the quantity, the course of its error, and the p-value."""
 
     quantity: str
-    """Reading or measured quantity, as ``Problem.quantities`` names it; ``"readings"``, all,
-    ``"positions"``, all, ``"lengths"`` of the legs, or ``"camera …"``, where it stands."""
+    """Reading or measured quantity, as ``Problem.quantities`` names it; all ``"readings"`` or
+    ``"positions"``, the ``"lengths"`` of the legs, or ``"camera …"`` for a camera's place."""
     term: str
     """``"angle"``, ``"pose"``, ``"order"``, ``"approach"``, ``"step"`` or ``"again"``."""
     p_value: float
-    """Of so much of the residuals, or more, in this term; of a step, anywhere."""
+    """p-value; for a step that of a step at any row."""
     share: float
-    """Of χ², that the term takes up."""
+    """Share of χ² that the error explains."""
     row: int = 0
-    """Of a step: the first row after it, among those of the fit."""
+    """First row after a step, as an index in the fit."""
     size: float = 0.0
-    """Of a step: by how much the quantity is off after it, [rad] or [m]; of a pose that was
-    measured again: by how much it moved from the first time to the last."""
+    """Error after a step, or motion of a pose from its first measurement to its last, [rad] or
+    [m]."""
     place: str = ""
-    """Of a pose that was measured again: its name."""
+    """Name of a pose that was measured repeatedly."""
     correlation: float = 0.0
-    """Of a step, or an order: how what it leaves is correlated from row to row, if it is."""
+    """Correlation from row to row that a step or a drift leaves, 0 if not significant."""
 
     @property
     def common(self) -> bool:
-        """Whether it asks for what all readings, positions or lengths have in common."""
+        """Whether the test is of all readings, positions or lengths together."""
         return self.quantity in (ALL, FRAME, LENGTHS)
 
 
 @dataclass(frozen=True)
 class Slip:
-    """What is off from one row on, or more and more."""
+    """A frame, target or reading that slips at some row, or drifts."""
 
     what: What
     name: str
-    """The target or reading; empty of the frame."""
+    """Name of the target or reading; empty for the frame."""
     axes: tuple[str, ...]
-    """What the components of the size are along, such as ``("x", "y", "z")``."""
+    """Axes of the components of ``size``, such as ``("x", "y", "z")``."""
     unit: str
     """``"m"`` or ``"rad"``."""
     row: int = 0
-    """The first row after it, among those of the fit; 0 of a drift."""
+    """First row after a slip, as an index in the fit; 0 for a drift."""
     size: Array = field(default_factory=lambda: np.zeros(0))
-    """How far it is off after that row, shape (f,): in the axes of the measurements, of a target
-    in those of the platform; of a drift from the first row to the last. [m] or [rad]."""
+    """Error after a slip, or of a drift from the first row to the last, shape (f,), [m] or [rad],
+    in the axes of the measurements; a target's in the axes of the platform."""
     steady: bool = False
     """Whether it is a drift over the whole run rather than a slip."""
     p_value: float = 1.0
-    """Of so clear a change anywhere, by chance, all that was tried taken in."""
+    """Probability of any such slip or drift by chance, with all that was tried."""
     or_else: tuple[tuple[What, str], ...] = ()
-    """What else may have slipped: these rows cannot separate it."""
+    """What else may have slipped: these rows cannot distinguish it."""
 
 
 def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]:
-    """Return the score tests of a fit, none of them independent of the others.
+    """Return the score tests of a fit, which are not independent of each other.
 
-    Also whether what was measured at poses again and again moved with time, by their rows among
-    those of the fit.
+    ``repeated`` has rows of the fit by names of poses that were measured repeatedly; they are
+    tested for motion with time.
     """
     if fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
         return []
@@ -124,7 +124,7 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
 def _kinds(
     fit: Fit, errors: Mapping[str, Array]
 ) -> tuple[dict[str, tuple[bool, str]], dict[tuple[bool, str], Array]]:
-    """Return whether a quantity is a reading, and its unit; and white rows of all of a kind."""
+    """Return each quantity's kind (is it a reading, its unit), and white rows of each kind."""
     n = fit.problem.leg_block.n_readings
     units = enumerate(fit.problem.quantities.items())
     kinds = {name: (place < n, unit) for place, (name, unit) in units}
@@ -137,10 +137,10 @@ def _kinds(
 def _course_tests(
     fit: Fit, errors: Mapping[str, Array], used: Index
 ) -> Iterator[tuple[str, str, Array]]:
-    """Yield quantities and courses to ask for, and their white rows, (n_used, m, f).
+    """Yield quantities and courses to test, with their white rows, (n_used, m, f).
 
-    Of each alone, and of all readings: the same error in each, or each with its own amplitudes.
-    Then whether lengths grow and positions move with time.
+    Each quantity is tested alone, then all readings with the same error or separate amplitudes,
+    then growth of all lengths and motion of all positions with time.
     """
     n_readings, time = fit.problem.leg_block.n_readings, np.linspace(-1.0, 1.0, len(used))[:, None]
     courses = {"order": [time] * len(errors), **_of_readings(fit, used)}
@@ -165,7 +165,7 @@ def _course_tests(
 
 
 def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
-    """Return the white rows of an error of 1 by measured quantity, (n_used, m, 1)."""
+    """Return the white rows of a unit error of each measured quantity, (n_used, m, 1)."""
     linear, r = fit.last, fit.last.conditions.shape[1] - fit.problem.leg_block.n_rows
     by_measured = np.broadcast_to(-np.eye(r), (len(linear.conditions), r, r))
     errors = block_diagonal((linear.by_measured, by_measured))
@@ -175,7 +175,7 @@ def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
 
 
 def _of_cameras(fit: Fit, used: Index) -> dict[str, Array]:
-    """Return the white rows of where cameras stand, by their names, (n_used, m, 6)."""
+    """Return the white rows of the poses of cameras, by name, (n_used, m, 6)."""
     names, by_place = fit.unknowns.labels, {}
     for camera in fit.problem.observation.setup.instruments:
         own = [f"{camera.name}.{number}" for number in ("x", "y", "z", "rx", "ry", "rz")]
@@ -186,10 +186,10 @@ def _of_cameras(fit: Fit, used: Index) -> dict[str, Array]:
 
 
 def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
-    """Return by what an error of each reading may follow its value, the pose and the approach.
+    """Return functions of value, pose and approach that an error of each reading may follow.
 
-    Shapes (n_used, f); the pose to second order, less coordinates that vary too little for an
-    effect, as heights of one plane: what they vary by is the noise, and so the residuals.
+    Shapes are (n_used, f). The pose is taken to second order, without coordinates that hardly vary,
+    such as heights over a plane: their variation is noise, to which residuals are related.
     """
     block, platform = fit.problem.leg_block, fit.problem.platform
     poses = platform.from_matrices(fit.last.state.matrices[used])
@@ -215,7 +215,7 @@ def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
 
 
 def _of_target(fit: Fit, errors: Mapping[str, Array], target: str) -> Array:
-    """Return the white rows of a target's position that is off along x, y, z, (n_used, m, axes)."""
+    """Return the white rows of unit errors of a target along x, y, z, (n_used, m, n_axes)."""
     stem = "" if target == ORIGIN else f"{target}_"
     none = np.zeros_like(next(iter(errors.values())))
     names = [f"measured {stem}{axis}" for axis in "xyz"[: fit.problem.platform.space]]
@@ -223,7 +223,7 @@ def _of_target(fit: Fit, errors: Mapping[str, Array], target: str) -> Array:
 
 
 def _of_frame(fit: Fit, errors: Mapping[str, Array]) -> tuple[Array, tuple[str, ...]]:
-    """Return white rows of all positions that are off alike, (n_used, m, axes), and the axes."""
+    """Return white rows of unit errors of all positions, (n_used, m, n_axes), and the axes."""
     targets = fit.problem.observation.setup.targets
     moved = np.sum([_of_target(fit, errors, target) for target in targets], axis=0)
     known = moved.any(axis=(0, 1))
@@ -231,7 +231,7 @@ def _of_frame(fit: Fit, errors: Mapping[str, Array]) -> tuple[Array, tuple[str, 
 
 
 def slips(fit: Fit) -> list[Slip]:
-    """Return what slipped or drifted, the clearest first; empty if nothing did."""
+    """Return slips and drifts, the most significant first; empty if there are none."""
     if fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
         return []
     residuals, clearest = Residuals.of(fit), list[Slip]()
@@ -244,7 +244,7 @@ def slips(fit: Fit) -> list[Slip]:
             break
         first, inside, white = tried[0]
         free = max(residuals.degrees_of_freedom - len(first.size), 1)
-        clear = CLEAR**2 * (residuals.chi2 - inside) / free  # by what is left, as F tests have it
+        clear = CLEAR**2 * (residuals.chi2 - inside) / free  # as in F tests
         indistinct = tuple(
             (slip.what, slip.name)
             for slip, inside_too, _ in tried[1:]
@@ -260,9 +260,9 @@ def slips(fit: Fit) -> list[Slip]:
 
 
 def _tried(residuals: Residuals, slip: Slip, W: Array) -> Iterator[tuple[Slip, float, Array]]:
-    """Yield a slip at its clearest row, and a steady drift of the same quantities.
+    """Yield a slip at its most significant row, and a drift of the same quantities.
 
-    Each with the χ² that it takes off, and the white rows of the error with its course.
+    Each comes with the χ² that it explains and the white rows of its error.
     """
     row, after, step = residuals.step(W)
     yield replace(slip, row=row, size=-step.values, p_value=step.p_value), step.inside, after
@@ -275,7 +275,7 @@ def _tried(residuals: Residuals, slip: Slip, W: Array) -> Iterator[tuple[Slip, f
 
 
 def _candidates(fit: Fit, errors: Mapping[str, Array], used: Index) -> Iterator[tuple[Slip, Array]]:
-    """Yield what may slip, and the white rows of its unit errors, shape (n_used, m, f)."""
+    """Yield what may slip, with the white rows of its unit errors, shape (n_used, m, f)."""
     problem, platform = fit.problem, fit.problem.platform
     readings = [name for leg in problem.legs for name in leg.reading_names]
     quantities = zip(readings, errors.values(), problem.quantities.values(), strict=False)

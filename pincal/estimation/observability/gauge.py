@@ -1,12 +1,12 @@
 """Gauge freedoms: motions of frames that no measurement of this kind can observe.
 
-If the base is at an unknown place in the tracker's frame, turning the base frame and all
-base points with it changes nothing that is measured; so does turning the platform's frame if
-its orientation is not measured. Such directions are found as what generic poses leave
-undetermined, distinguished from parameters that are truly lost by what they do to the platform, and
-fixed by a choice: of all equal parameters those nearest to the nominal ones, each change
-measured by how much machines differ from their drawings. So the choice is the machine's alone,
-wherever and however it was measured.
+If the base is at an unknown place in the tracker's frame, moving the base frame together with all
+base points changes nothing that is measured; nor does turning the platform's frame if its
+orientation is not measured. Such directions are those that generic poses leave undetermined. They
+differ from redundant parameters by the motion of the platform that they cause. A choice fixes them:
+of all equivalent parameters those nearest to the nominal ones, each change relative to how much
+machines differ from their drawings. So the choice depends on the machine only, not on where or how
+it was measured.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from pincal.model.setup import Setup
 from pincal.types import Array
 from pincal.words.findings import finding
 
-_STILL = 1e-7  # motion of the platform below which it is none, of what each parameter would do
+_STILL = 1e-7  # platform motion, over the sum of each parameter's, below which there is none
 
 
 def frame_motions(platform: Platform, matrices: Array, *, scaled: bool = True) -> Array:
-    """Return the twists of the platform for unit motions of base and own frame, (N, dof, k).
+    """Return the twists of the platform for unit motions of base and platform frame, (N, dof, k).
 
-    The last is that of all lengths if they may grow, which contacts and cameras do not see, else
-    none.
+    The last column is for growth of all lengths, which contacts and cameras do not see; it is zero
+    unless ``scaled``.
     """
     base, body = np.zeros((2, len(matrices), 6, 6))
     base[:, :3] = point_velocity(matrices[:, :3, 3], tuple(range(6)))
@@ -56,9 +56,9 @@ def frame_motions(platform: Platform, matrices: Array, *, scaled: bool = True) -
 
 
 def unexplained(units: Sequence[str], twists: Array, motions: Array, size: float) -> Array:
-    """Return twists of the platform, shape (N, dof, k), less what motions (N, dof, m) explain.
+    """Return the part of twists (N, dof, k) of the platform that motions (N, dof, m) do not span.
 
-    Least squares over all poses together, angles counting as lengths at a radius ``size``.
+    It is by least squares over all poses, angles counting as lengths at a radius ``size``.
     """
     scale = np.array([1.0 if unit == "m" else size for unit in units])[:, None]
     count = twists.shape[0] * twists.shape[1]
@@ -75,16 +75,21 @@ def unexplained(units: Sequence[str], twists: Array, motions: Array, size: float
 def split_frames(
     mechanism: Mechanism, matrices: Array, gain: Array, directions: Array, *, scaled: bool
 ) -> tuple[Array, Array, Array]:
-    """Return the part of directions of parameters that only moves frames, the other part, and how.
+    """Split directions of parameters into those that only move frames and the others.
 
-    If ``scaled``, frames may grow.
+    Args:
+        mechanism: The mechanism.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        gain: ∂(pose)/∂(parameter), shape (N, dof, n).
+        directions: Columns of shape (n, k).
+        scaled: Whether frames may grow.
 
-    Directions are columns of shape (n, k), the gain ∂(pose)/∂(parameter) is of shape (N, dof, n).
-    How the former move the platform is said by combinations of the columns of ``frame_motions``,
-    shape (k, n_moved), fewer where the platform stays: these move frames at any parameters.
+    Returns:
+        Directions that only move frames, the others, and the motions of the former as combinations
+        of the columns of ``frame_motions``, (k, n_moved), without those that move no platform.
 
     Raises:
-        ObservabilityError: no pose is held by the legs.
+        ObservabilityError: the legs hold the platform at none of the poses.
     """
     held = np.isfinite(gain).all(axis=(1, 2))  # not at a type-2 singularity
     if not held.any():
@@ -109,19 +114,19 @@ def split_frames(
 
 
 def _reach(gain: Array, directions: Array) -> Array:
-    """Return how far directions would move the platform if parameters did not compensate, (k,)."""
+    """Return the platform's motion by directions if parameters did not compensate, shape (k,)."""
     return np.linalg.norm(np.abs(gain) @ np.abs(directions), axis=(0, 1))
 
 
 def _axes(columns: Array) -> tuple[Array, Array]:
-    """Return singular values of columns over all poses, (N, dof, k), and axes in rows, (k, k)."""
+    """Return singular values of columns (N, dof, k) over all poses, and axes as rows (k, k)."""
     n, dof, k = columns.shape
     flat = np.linalg.qr(columns.reshape(n * dof, k), mode="r")  # the same values and axes, quicker
     _, values, axes = np.linalg.svd(flat, full_matrices=True)
     return np.concatenate((values, np.zeros(k - len(values)))), axes
 
 
-_TARGETS = 1e-6  # how much targets count beside parameters in what is nearest to nominal
+_TARGETS = 1e-6  # weight of targets' changes, beside parameters', in the distance from nominal
 
 
 class Gauge(NamedTuple):
@@ -130,19 +135,18 @@ class Gauge(NamedTuple):
     constraints: Array
     """Rows g with g · z = 0 that fix them, shape (n_gauge, n_free)."""
     found: tuple[Finding, ...]
-    """What is free, and was fixed by choice."""
+    """Findings that name the freedoms that were fixed by choice."""
     of_legs: Array | None
-    """The directions in the legs' parameters, columns of shape (n_params, n_gauge); None if there
-    are none."""
+    """The directions of the legs' parameters as columns, (n_params, n_gauge); None without any."""
     frames: Array
-    """Motions of frames that these are (see ``split_frames``), shape (k, n_moved)."""
+    """Motions of frames by these directions (see ``split_frames``), shape (k, n_moved)."""
 
 
 def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Gauge:
-    """Return the gauge freedoms of a problem at its start; what else is lost, is left.
+    """Return the gauge freedoms of a problem at its start.
 
     Raises:
-        ObservabilityError: what is measured determines no parameter, at any poses.
+        ObservabilityError: measurements of this kind determine no parameter at any poses.
     """
     platform, T = mechanism.platform, unknowns.map
     legs, J = jacobian_near(mechanism, problem, unknowns, generic=True)
@@ -179,7 +183,7 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
         findings.append(finding("redundant-parameters", count=n_still, groups=groups))
-    # how much the square of each unknown's change counts: frames not, targets hardly
+    # weights of squared changes in the distance from nominal: frames none, targets little
     counts = [0.0 if name.startswith("tracker.") else _TARGETS for name in outside.names]
     weights = np.concatenate(
         (1.0 / of_legs**2, np.array(counts) / (DIFFER * outside.sizes(size)) ** 2)
@@ -189,7 +193,7 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
 
 
 def _freedoms(frames: Array, mechanism: Mechanism, setup: Setup) -> list[Finding]:
-    """Return which frames are free, and by how many freedoms, and whether the scale is."""
+    """Return findings of the free frames, with numbers of freedoms, and of a free scale."""
     least, findings = NEGLIGIBLE * np.abs(frames).max(initial=0.0), list[Finding]()
     grows = bool((np.abs(frames[-1]) > least).any())
     count, n_base = frames.shape[1] - grows, 0

@@ -1,10 +1,10 @@
-"""How well rows determine the parameters: indices, rank, information that is only noise.
+"""How well rows determine the parameters: observability indices, rank, information above noise.
 
-Observability indices from singular values, the diagonal of R in C = Q R, and rank, with the groups
-of parameters that are not identifiable one by one. Poses that leave parameters undetermined lose
-rank. Measured poses are never exactly such: their noise makes every Jacobian full, and a fit would
-read parameters out of the noise. So each direction in parameter space must carry clearly more
-information than the noise of the poses makes when it is drawn once more.
+Observability is judged by singular values, by the diagonal of R in C = Q R, and by rank, with the
+groups of parameters that are identifiable only together. Poses that leave parameters undetermined
+lose rank; but the noise of measured poses gives every Jacobian full rank, and a fit would read
+parameters out of the noise. So each direction in parameter space must carry clearly more
+information than comes from the noise of the poses, drawn once more.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from pincal.types import Array
 from pincal.words.wording import group_in_words
 
 RANK_TOLERANCE = 1e-9
-"""Of the largest singular value, columns of unit length, below which a direction is lost."""
+"""Singular value relative to the largest, with columns of unit length, below which rank is lost."""
 NEGLIGIBLE = 1e-6
-"""Of a direction, below which a parameter, or a motion, takes no part in it."""
+"""Component of a direction below which a parameter or a motion takes no part in it."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ def indices(C: Array) -> Indices:
 
     Example:
         >>> import numpy as np, pincal
-        >>> found = pincal.indices(np.diag([4.0, 1.0]))
-        >>> round(float(found.O2), 6)  # least over greatest singular value
+        >>> indices = pincal.indices(np.diag([4.0, 1.0]))
+        >>> round(float(indices.O2), 6)  # least over greatest singular value
         0.25
     """
     m, n = C.shape
@@ -75,16 +75,16 @@ def indices(C: Array) -> Indices:
 def r_diagonal(C: Array) -> Array:
     """Return |R_ii| of C = Q R, shape (n,): the observability of each parameter (Eq. 9).
 
-    A parameter's value says what it adds to those before it; zero is not observable.
+    The value of a parameter is what it adds to those before it; zero is not observable.
     """
     entries = np.abs(np.diagonal(np.linalg.qr(C, mode="r")))
     return np.pad(entries, (0, C.shape[1] - len(entries)))
 
 
 def scaled_axes(J: Array) -> tuple[Array, Array, Array]:
-    """Return lengths of columns, singular values and right axes of J, columns of unit length.
+    """Return the lengths of J's columns, and singular values and right axes of J with unit columns.
 
-    Shapes (n,), (min(m, n),) and (n, n), axes in rows; the length of a column of zeros counts as 1.
+    Shapes are (n,), (min(m, n),) and (n, n), axes as rows; a column of zeros has length 1.
     """
     lengths = np.linalg.norm(J, axis=0)
     lengths[lengths == 0.0] = 1.0
@@ -100,7 +100,7 @@ class Identifiability:
     rank: int
     n_params: int
     condition: float
-    """Condition number, columns scaled to unit length; of what is determined where rank is lost."""
+    """Condition number with columns of unit length, of the determined directions only."""
     groups: tuple[tuple[str, ...], ...]
     """Ids of parameters that move together, one group for each lost rank."""
 
@@ -110,7 +110,7 @@ class Identifiability:
         return self.rank == self.n_params
 
     def describe(self) -> str:
-        """Return what is not determined: ``leg_2.l and leg_2.L move together``."""
+        """Return a text such as ``leg_2.l and leg_2.L move together``."""
         return "; ".join(map(group_in_words, self.groups))
 
     def __str__(self) -> str:
@@ -139,22 +139,22 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
         sorted({int(index), *pivots[np.abs(column) > NEGLIGIBLE].tolist()})
         for column, index in zip(weights.T, lost, strict=True)
     ]
-    members.sort(key=lambda group: (len(group), group))  # that of the pivots follows rounding
+    members.sort(key=lambda group: (len(group), group))  # the order of pivots depends on rounding
     groups = tuple(tuple(names[i] for i in group) for group in members)
     return Identifiability(rank, n, float(s[0] / s[rank - 1]) if rank else np.inf, groups)
 
 
-GENERIC = 200  # configurations, at least
+GENERIC = 200  # least number of generic configurations
 
 
 def jacobian_near(
     mechanism: Mechanism, problem: Problem, unknowns: Unknowns, *, generic: bool
 ) -> tuple[Legs, Array]:
-    """Return what legs do at the start's poses or readings, or at generic ones about them.
+    """Return the legs' derivatives at the start, or generic ones nearby, and the whole Jacobian.
 
-    And what the free unknowns do to all that is measured there, over the mechanism's size, poses
-    eliminated, rows of priors below: shape (m, n_free). At generic ones everything is measured in
-    every row that is measured in some row.
+    The Jacobian, shape (m, n_free), is of all measured quantities over the mechanism's size by the
+    free unknowns, poses eliminated, with the rows of priors below. At generic configurations every
+    quantity that is measured in some row counts as measured in all rows.
     """
     start, block = problem.start(unknowns.start), problem.leg_block
     contacts, chosen = problem.observation.setup.contacts, np.arange(len(start.matrices))
@@ -192,31 +192,31 @@ def jacobian_near(
 def lost_directions(J: Array) -> tuple[Array, Array]:
     """Return unobservable directions of a Jacobian, and the lengths of its columns.
 
-    Rows v of shape (n_lost, n), in columns of unit length: unknowns may move along v / lengths; and
-    v · lengths is what that leaves as it is in the changes nearest to none, each measured by what
-    it alone does.
+    Directions are rows v, shape (n_lost, n), for columns of unit length: unknowns may move along
+    v / lengths. The smallest changes, each weighted by its column's length, satisfy
+    (v · lengths) · z = 0.
     """
     lengths, s, axes = scaled_axes(J)
     return axes[int((s > RANK_TOLERANCE * s[0]).sum()) :], lengths
 
 
 DIFFER = 0.05
-"""Of a mechanism's size, of a gain, and [rad]: by more no machine differs from its drawing."""
+"""Largest difference of a machine from its drawing: of its size, of a gain, and [rad]."""
 
 
 def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -> Array:
-    """Return by how much parameters of legs may differ from their drawing, shape (n_params,).
+    """Return how far parameters of legs may differ from the drawing, shape (n_params,).
 
-    In the parameters' order and units; of all legs if none are given.
+    They are in the parameters' order and units, of all legs by default.
     """
     return np.concatenate([changes_of(leg, mechanism.size) for leg in legs or mechanism.legs])
 
 
 def nearest_to_nominal(mechanism: Mechanism, directions: Array) -> Array:
-    """Return what moves parameters along directions to those nearest to nominal, shape (n, n).
+    """Return the projection of parameter changes along directions to the smallest, shape (n, n).
 
-    Each change is measured by how much machines differ: P = I − G (W G)⁺ W, W = 1 / these, G the
-    directions of all legs' parameters, shape (n, k).
+    P = I − G (W G)⁺ W with the directions G of all legs' parameters, shape (n, k), and weights W,
+    the inverse of how far machines differ from their drawing.
     """
     scales = plausible_changes(mechanism)
     amounts = np.linalg.pinv(directions / scales[:, None]) / scales
@@ -224,9 +224,9 @@ def nearest_to_nominal(mechanism: Mechanism, directions: Array) -> Array:
 
 
 def changes_of(leg: Leg, size: float) -> Array:
-    """Return by how much a leg's parameters may differ, shape (n_params,).
+    """Return how far a leg's parameters may differ from the drawing, shape (n_params,).
 
-    Lengths by a share of ``size``, gains of themselves, angles of a radian, numbers of 1.
+    It is a share of ``size`` for lengths, of their value for gains, of 1 for angles and numbers.
     """
     gains = {sensor.gain for sensor in leg.sensors}
     scales = [
@@ -236,9 +236,9 @@ def changes_of(leg: Leg, size: float) -> Array:
     return DIFFER * np.array(scales)
 
 
-_CLEARLY = 3.0  # times what noise makes of information: less is none
-_TAKES_PART = 0.1  # share of a direction's largest entry, from which a parameter is named
-_WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
+_CLEARLY = 3.0  # information over that from noise, above which a direction is observed
+_TAKES_PART = 0.1  # component over a direction's largest one, above which a parameter is named
+_WEAKLY = 3.0  # gain in standard error if the other parameter were known: correlation 0.943
 
 
 def check_rank(
@@ -246,7 +246,7 @@ def check_rank(
 ) -> None:
     """Raise if rows leave some free unknown undetermined.
 
-    What is not determined where a search ``ended`` was so where it began: it ran away.
+    If that is so only where a search ``ended``, the search ran away.
 
     Raises:
         ObservabilityError: a parameter is not determined; the message names it.
@@ -277,25 +277,26 @@ def check_information(
 ) -> None:
     """Raise if some direction in parameter space is observed by the noise of the poses only.
 
-    At one of several places it must be observed by more; noise is a scale larger than drawn.
+    It is enough that all directions are observed at one of several places. ``scale`` multiplies
+    the noise.
 
     Raises:
-        ObservabilityError: there is one; the message names the parameters that take part.
+        ObservabilityError: a direction is not observed; the message names its parameters.
     """
     roots = problem.leg_block.pose_roots
-    for linear in places:  # poses are drawn from what is not known about them
+    for linear in places:  # poses are drawn with the errors that measurements leave them
         rng, white = np.random.default_rng(0), linear.white
         if roots is None:
             W = white.by_noise
             draws = rng.standard_normal((len(W), W.shape[2], 1))
-            hidden = draws - W.transpose(0, 2, 1) @ (W @ draws)  # what white rows do not see
+            hidden = draws - W.transpose(0, 2, 1) @ (W @ draws)  # noise that is not in white rows
             twists = white.poses_by(white.noise @ hidden)
         else:
             twists = roots @ rng.standard_normal((*roots.shape[:2], 1))
         matrices = problem.platform.displaced(linear.state.matrices, twists[:, :, 0])
         drawn = problem.evaluate(replace(linear.state, matrices=matrices)).noise_by_parameter
         difference = (drawn - linear.noise_by_parameter) @ unknowns.map
-        rows = unknowns.free_rows(linear.triangle)  # that of the rows here: W Wᵀ = 1
+        rows = unknowns.free_rows(linear.triangle)  # the same information as J, since W Wᵀ = 1
         lengths = np.linalg.norm(rows, axis=0)
         _, information, directions = np.linalg.svd(rows / lengths, full_matrices=False)
         made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=(0, 1))
@@ -310,46 +311,51 @@ def check_information(
 
 
 def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:
-    """Return which unknowns take part in directions, rows of shape (k, n)."""
+    """Return the names of unknowns that take part in directions, rows of shape (k, n)."""
     size = np.abs(directions).max(axis=0)
     parts = zip(names, size > _TAKES_PART * size.max(), strict=True)
     return tuple(name for name, takes_part in parts if takes_part)
 
 
 class HeldUnknowns(NamedTuple):
-    """What measurements cannot observe and was held as near to nominal as can be."""
+    """Directions that measurements cannot observe, held as near to nominal as possible."""
 
     unknowns: Unknowns
-    """Less these freedoms."""
+    """The unknowns without the held directions."""
     observable: Unknowns
-    """Less only those that no noise, however small, would let be observed."""
+    """The unknowns without the directions that are unobservable even without noise."""
     nominal: Linear
     """Conditions at the nominal parameters, where a search starts."""
     directions: Array
-    """Directions of all unknowns, as far as machines may differ, shape (n, n_lost)."""
+    """Held directions of all unknowns, as long as machines may differ, shape (n, n_lost)."""
     groups: tuple[tuple[str, ...], ...]
     """Ids of the unknowns that are unobservable together, a group for each direction."""
     weak: tuple[str, ...]
-    """Ids of those that are weakly determined."""
+    """Ids of the unknowns that are weakly determined."""
     fewest: int
-    """How many directions are held at least, besides those that no noise would let be observed."""
+    """Least number of weakly determined directions that are held."""
     weakest: float
-    """By how many times better than machines differ the weakest is determined that is not held."""
+    """How far machines may differ over the standard error, along the weakest free direction."""
 
 
 def hold_unobservable(
     mechanism: Mechanism, system: System, nominal: Linear, held: HeldUnknowns | None, fewest: int
 ) -> HeldUnknowns:
-    """Return the unknowns, gauge freedoms held, less what the measurements leave unobservable.
+    """Return the unknowns without the directions that the measurements do not determine.
 
-    Poses are unknowns, conditions those where a search starts. Of all parameters that fit as well,
-    those nearest to the nominal ones, each change measured by what it alone would do to the
-    measurements; then, where noise determines them no better than machines differ, and at least
-    along the ``fewest`` weakest directions, by how much these differ. What was held at other noise
-    says what noise does not change.
+    Unobservable directions are held first: of all parameters that fit equally well those nearest to
+    nominal, each change weighted by its effect on the measurements. Then directions are held along
+    which the standard error exceeds how far machines differ, and at least the ``fewest`` weakest.
+
+    Args:
+        mechanism: The mechanism.
+        system: What is minimised, with poses as unknowns and gauge freedoms held.
+        nominal: Conditions where a search starts.
+        held: What was held at other noise, which has the same unobservable directions, or None.
+        fewest: Least number of weakly determined directions to hold.
 
     Raises:
-        ObservabilityError: no measured pose is one that the legs reach.
+        ObservabilityError: the legs reach none of the measured poses.
     """
     free, problem = system.unknowns, system.problem
     if held is None:
@@ -367,7 +373,7 @@ def hold_unobservable(
     else:
         observable, groups = held.observable, held.groups
         directions = held.directions[:, : free.n_free - observable.n_free]
-    # how many times better than machines differ noise determines the rest, the best first
+    # how far machines differ over the standard error of each direction, the best first
     differ = problem.observation.external.sizes(mechanism.size)
     plausible = np.concatenate((plausible_changes(mechanism, problem.legs), differ))
     scale = 1.0 / np.abs(observable.map / plausible[:, None]).max(axis=0)
@@ -387,7 +393,7 @@ class WeakPair(NamedTuple):
     """Two parameters whose errors mostly compensate each other."""
 
     first: str
-    """Its id, such as ``"leg_1.l"``."""
+    """Id of the parameter, such as ``"leg_1.l"``."""
     second: str
     correlation: float
 
@@ -395,14 +401,14 @@ class WeakPair(NamedTuple):
 def weak_pairs(ids: Sequence[str], covariance: Array) -> tuple[WeakPair, ...]:
     """Return the pairs of parameters that are weakly determined together, the weakest first.
 
-    Of a covariance, shape (n, n). Those whose variance is zero, or not finite, and pairs that are
-    tied, are left out.
+    The covariance has shape (n, n). Parameters whose variance is zero or not finite, and tied
+    pairs, are left out.
     """
     std = np.sqrt(np.diagonal(covariance))
     known = np.isfinite(std) & (std > 0.0)
     scale = np.where(known, std, np.inf)
     rho = np.where(np.outer(known, known), covariance, 0.0) / np.outer(scale, scale)
-    left = 1.0 - np.triu(rho, 1) ** 2  # share of a variance that stays if the other one is known
+    left = 1.0 - np.triu(rho, 1) ** 2  # share of a variance that remains if the other is known
     pairs = np.argwhere((left < _WEAKLY**-2) & (left > NEGLIGIBLE**2)).tolist()
     pairs.sort(key=lambda pair: -abs(rho[*pair]))
     return tuple(WeakPair(ids[i], ids[j], float(rho[i, j])) for i, j in pairs)

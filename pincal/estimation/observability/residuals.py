@@ -1,15 +1,15 @@
-"""What residuals of a fit are to be expected, and what they say of errors that a model lacks.
+"""Expected residuals of a fit, and tests of them for errors that a model lacks.
 
-With white rows ρ and the estimate δz = −B Σ s Jᵀ ρ (``Fit``), what is left is r = ρ − J B Σ s
-Jᵀ ρ. Of least squares cov r = M = 1 − H, H = J (JᵀJ)⁻¹ Jᵀ = Q Qᵀ of J = Q R: a residual has the
-variance σ² (1 − h), h its leverage. What is left of a measured quantity's own
-noise is its redundancy number (W. Baarda, A testing procedure for use in geodetic networks, 1968).
-Conditions follow from white rows, e = −S ν = S Wᵀ r, so that unknown poses take their part, too.
+With white rows ρ and the estimate δz = −B Σ s Jᵀ ρ (``Fit``), the residuals are r = ρ − J B Σ s
+Jᵀ ρ. For least squares cov r = M = 1 − H, H = J (JᵀJ)⁻¹ Jᵀ = Q Qᵀ with J = Q R: a residual has the
+variance σ² (1 − h), where h is its leverage. The share of a measured quantity's noise that remains
+is its redundancy number (W. Baarda, A testing procedure for use in geodetic networks, 1968).
+Conditions follow from white rows, e = −S ν = S Wᵀ r, which includes the effect of unknown poses.
 
-An error b(n) of one measured quantity appears in the white rows as W = L⁻¹Nᵀ s b, s how the
-conditions follow that quantity. Residuals ask for the amplitudes −(Wᵀ M W)⁻¹ Wᵀ M r, and the part
-of χ² that lies along M W is, if the model lacks nothing, a share like any other: an F test without
-a new fit (C. R. Rao's score test). Only sums over rows of WᵀW, QᵀW and Wᵀ M r are needed:
+An error b(n) of a measured quantity appears in the white rows as W = L⁻¹Nᵀ s b, where s is the
+derivative of the conditions by that quantity. Its amplitudes to first order are −(Wᵀ M W)⁻¹ Wᵀ M r.
+If the model lacks nothing, the part of χ² along M W is like any other: an F test without a new fit
+(C. R. Rao's score test). It needs only sums over rows of WᵀW, QᵀW and Wᵀ M r:
 Wᵀ M W = WᵀW − (QᵀW)ᵀ QᵀW.
 """
 
@@ -27,20 +27,20 @@ from pincal.estimation.problem import Linear, Problem
 from pincal.kinematics.batches import least_squares, over_rows, product
 from pincal.types import Array, Index
 
-_MUCH = 0.25  # of what a step takes up, that is left correlated from row to row
-TAKEN = 1e-4  # of squares: parameters take up that of which they leave no more, but for noise
-_ALIKE = 1.75  # standard errors of a correlation from row to row, above which it is one
+_MUCH = 0.25  # correlated χ² that remains, over the χ² of a step, above which it is no step
+TAKEN = 1e-4  # share of an error's square outside the Jacobian's range, below which it is absorbed
+_ALIKE = 1.75  # standard errors above which a correlation from row to row is significant
 
 
 class LegResiduals(NamedTuple):
-    """Residuals of one leg, k at a pose, c e of the conditions e there."""
+    """Residuals of one leg: k linear combinations c e of the conditions e at each pose."""
 
     value: Array
-    """Shape (N, k)."""
+    """Residuals, shape (N, k)."""
     sigma: Array
-    """Their modelled standard deviations, shape (N, k)."""
+    """Modelled standard deviations of the residuals, shape (N, k)."""
     unit: str
-    """m of closures, that of the readings otherwise."""
+    """Unit: m for closures, else that of the readings."""
     quantity: str
     """``"closure"`` or ``"reading"``."""
     follows: Array
@@ -48,11 +48,11 @@ class LegResiduals(NamedTuple):
 
 
 def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
-    """Return what a leg misses at each pose.
+    """Return the residuals of a leg at each pose.
 
-    Poses as measured: its closure there. Poses that were estimated: predicted
-    less measured reading; of exact readings, which are missed by nothing, the closure at the pose
-    that was measured (to first order), where it was.
+    Where poses are taken as measured, they are the leg's closures. Where poses are estimated, they
+    are predicted minus measured readings; if readings are exact, the closures at the measured poses
+    to first order.
     """
     block, count = problem.leg_block, len(linear.conditions)
     rows, readings = block.leg_rows[index], block.reading_columns[index]
@@ -61,7 +61,7 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     follows[:, :, rows] = np.eye(k)
     if problem.latent and sigma.any() and k == 1:
         quantity = "reading"
-        follows = np.repeat(follows, sigma.shape[1], axis=1)  # as many as there are readings
+        follows = np.repeat(follows, sigma.shape[1], axis=1)  # one for each reading
         by_reading = linear.by_measured[:, rows, readings]
         follows[:, :, rows] = -least_squares(by_reading, np.ones((count, 1, 1)))
     else:
@@ -77,10 +77,10 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
 
 
 def remaining_variances(fit: Fit, follows: Array) -> Array:
-    """Return variances of what a fit leaves of quantities c e, in squares of their units, (N, q).
+    """Return the variances, (N, q), of quantities c e after a fit, in their units squared.
 
-    With what is left r − J δz, those of the noise as modelled, of the estimate, and of both. They
-    follow the conditions by c, shape (N, q, k).
+    Each is the variance of the modelled noise and of the estimate, less twice their covariance.
+    ``follows`` is c, shape (N, q, k).
     """
     linear, parts, by_free = fit.last, [], fit.unknowns.map @ fit.root
     for poses in linear.parts():
@@ -95,9 +95,9 @@ def remaining_variances(fit: Fit, follows: Array) -> Array:
 
 
 def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
-    """Return the residuals of legs, and variances after a fit over those of the noise, 1 − h.
+    """Return the residuals of legs, and redundancy numbers 1 − h, shape (N, q) each.
 
-    Of each leg, then of what was measured of the platform, shape (N, q); zero where there is no
+    Redundancy numbers are of each leg, then of the measurements of the platform; zero without
     noise.
     """
     problem, linear = fit.problem, fit.last
@@ -115,45 +115,45 @@ def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """What residuals say of terms, to first order."""
+    """Amplitudes of f errors by the residuals of a fit, to first order."""
 
     values: Array
-    """Shape (f,)."""
+    """Amplitudes, shape (f,)."""
     std: Array
-    """Standard errors, shape (f,); infinite where parameters take the term up."""
+    """Standard errors, shape (f,); infinite where parameters absorb the error."""
     F: float
-    """χ² along the terms by its degrees of freedom, over that of the rest."""
+    """Mean square along the errors over the mean square of the remaining residuals."""
     rank: int
-    """Degrees of freedom: directions that parameters do not take up."""
+    """Degrees of freedom: directions that parameters do not absorb."""
     inside: float
-    """χ² along the terms."""
+    """χ² along the errors."""
     p_value: float
-    """Of so much, or more, by chance."""
+    """Probability of such an F or a larger one by chance."""
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """White residuals of rows that count, and what parameters take up there."""
+    """White residuals of good rows, and the range of their Jacobian."""
 
     used: Index
-    """Rows that count, among those of the fit, shape (n_used,)."""
+    """Indices of the good rows among the rows of the fit, shape (n_used,)."""
     left: Array
     """M r, shape (n_used, m)."""
     Q: Array
-    """Orthonormal columns that parameters span, shape (n_used, m, n_free)."""
+    """Orthonormal basis of the Jacobian's range, shape (n_used, m, n_free)."""
     chi2: float
     degrees_of_freedom: int
 
     @classmethod
     def of(cls, fit: Fit) -> Residuals:
-        """Return those of a fit."""
+        """Return the residuals of a fit."""
         left = fit.last.residuals[fit.good] - fit.Q @ fit.normal.c
         return cls(np.flatnonzero(fit.good), left, fit.Q, fit.normal.left, fit.degrees_of_freedom)
 
     def amplitudes(self, W: Array, least: float = NEGLIGIBLE**2) -> Amplitudes:
-        """Return the amplitudes of terms that residuals ask for, by white rows (n_used, m, f).
+        """Return the amplitudes of errors with white rows W, shape (n_used, m, f).
 
-        Of combinations of whose squares parameters leave more than a least share.
+        Combinations of which parameters absorb all but a share ``least`` of the square are omitted.
         """
         C, along, hidden = self._resolved(W, least)
         f, rank = C.shape
@@ -166,7 +166,7 @@ class Residuals:
         return Amplitudes(-C @ along, std, F, rank, inside, float(fdtrc(rank, free, F)))
 
     def without(self, W: Array) -> Residuals:
-        """Return the residuals with errors of white rows W taken up, shape (n_used, m, f)."""
+        """Return the residuals after fitting errors with white rows W, shape (n_used, m, f)."""
         C, along, _ = self._resolved(W)
         U = W @ C - self.Q @ (over_rows(self.Q, W) @ C)
         return Residuals(
@@ -178,9 +178,9 @@ class Residuals:
         )
 
     def alike_after(self, W: Array, errors: Array) -> float:
-        """Return how errors are correlated from row to row once others, W, are taken up.
+        """Return the correlation of errors from row to row after fitting other errors W.
 
-        Both are white rows, (n_used, m, f). 0 if that is not clear, or little of what W took.
+        Both are white rows, (n_used, m, f). It is 0 if not significant, or small beside W's χ².
         """
         remaining, lengths = self.without(W), np.sqrt((errors**2).sum(axis=1))
         along = np.einsum("nmf,nm->nf", errors, remaining.left)
@@ -191,10 +191,10 @@ class Residuals:
         return correlation if clear and lagged > _MUCH * (self.chi2 - remaining.chi2) else 0.0
 
     def _resolved(self, W: Array, least: float = NEGLIGIBLE**2) -> tuple[Array, Array, Array]:
-        """Return combinations C of errors, and what residuals say of them.
+        """Return combinations C of errors, their χ components, and which errors are absorbed.
 
-        C makes M W C orthonormal, shape (f, rank); then (M W C)ᵀ r, shape (rank,), and which errors
-        parameters take up in part, shape (f,).
+        C, shape (f, rank), makes M W C orthonormal; the components are (M W C)ᵀ r, shape (rank,);
+        the mask, shape (f,), is of errors that parameters absorb at least in part.
         """
         gram, taken = over_rows(W, W), over_rows(self.Q, W)
         information, squares = gram - taken.T @ taken, np.diagonal(gram)
@@ -207,10 +207,10 @@ class Residuals:
         return C, C.T @ along, hidden
 
     def step(self, W: Array) -> tuple[int, Array, Amplitudes]:
-        """Return the first row after the clearest step of errors at once, and how large it is.
+        """Return the first row after the most significant step of errors, and its amplitudes.
 
-        The row is among those of the fit; then white rows after it, shape (n_used, m, f); probable
-        by chance is such a step anywhere.
+        The row is an index in the fit. Also return the white rows of the step, (n_used, m, f). The
+        p-value is of such a step at any row.
         """
         turned = W.transpose(0, 2, 1)
         along = (turned @ self.left[:, :, None])[:, :, 0]
@@ -221,7 +221,7 @@ class Residuals:
         information = squares - taken.transpose(0, 2, 1) @ taken
         least = TAKEN * np.trace(squares, axis1=1, axis2=2)
         known = np.linalg.eigvalsh(information)[:, 0] > np.maximum(least, 1e-300)
-        known[:1] = known[-1:] = False  # a row of its own is an outlier
+        known[:1] = known[-1:] = False  # a step of a single row is an outlier
         places = np.flatnonzero(known)
         if not len(places):
             return 0, W, self.amplitudes(0.0 * W)
@@ -234,11 +234,11 @@ class Residuals:
 
 
 def together(p_values: Array, weights: Array) -> float:
-    """Return the probability that tests, which need not be independent, find so much by chance.
+    """Return the combined p-value of tests that need not be independent.
 
-    By Cauchy's distribution: the mean of 1/p but for what all tests are when nothing is there
-    (Y. Liu, J. Xie, J. Am. Stat. Assoc. 115, 2020). Tests that agree strengthen each other. Weights
-    of all tests that were made sum to 1; these may be some of them.
+    It is Cauchy's combination test (Y. Liu, J. Xie, J. Am. Stat. Assoc. 115, 2020), in which tests
+    that agree strengthen each other. The weights of all tests that were made sum to 1; these may
+    be some of them.
     """
     p = np.clip(p_values, 1e-300, 1.0 - weights)
     mean = float((weights / np.tan(np.pi * p)).sum())
