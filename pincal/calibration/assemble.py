@@ -1,7 +1,7 @@
 """From fits to a result: covariances, intervals, residuals leg by leg.
 
-Legs identified alone share the noise of the poses: each estimate follows it by its influence K, and
-two legs that use the same pose have the cross covariance Σ K_i K_iᵀ over the columns of its noise.
+Legs that are identified alone share the noise of the poses. Each estimate depends on it by its
+influence K, and two legs have the cross covariance Σ K_i K_jᵀ over the noise of common poses.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from pincal.model.relations import ROW
 from pincal.model.setup import Systematic
 from pincal.types import Array, Mask
 
-_UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
+_UNMOVED = 0.1  # motion over the standard error by held directions, up to which it is negligible
 
 
 def assemble(fits: Fits) -> CalibrationResult:
-    """Return the result of all legs from one fit of all, or one fit each."""
+    """Return the result of all legs from one fit of all legs, or from one fit each."""
     calibration, gauge, dof = fits.calibration, fits.gauge, fits.degrees_of_freedom
     mechanism = calibration.mechanism
     freedoms, of_chi2 = noise_freedoms(fits)
@@ -93,10 +93,10 @@ def assemble(fits: Fits) -> CalibrationResult:
 
 
 def _frames_moved(calibration: Calibration, gauge: Gauge | None) -> Array | None:
-    """Return motions of frames that nothing measured fixes, shape (k, n_moved); None without any.
+    """Return motions of frames that no measurement fixes, shape (k, n_moved); None without any.
 
-    Where cameras alone measure, and neither they nor their markers are at known places: those of
-    both frames, and of the scale if no length is known, whatever priors and tolerances say of it.
+    Where only cameras measure, and neither cameras nor markers are at known places, these are
+    motions of both frames, and of the scale if no length is known, whatever priors say.
     """
     observation = calibration.observation
     cameras = [d for d in observation.setup.instruments if isinstance(d, Camera)]
@@ -111,8 +111,8 @@ def _frames_moved(calibration: Calibration, gauge: Gauge | None) -> Array | None
 def chi2_freedoms(fits: Sequence[Fit]) -> float:
     """Return the degrees of freedom of a χ² with the mean and variance of the fits' sum.
 
-    Residuals M W ν of two fits that share poses are correlated by the poses' noise, A = W Wᵀ: of
-    their χ², 2 tr(M₁ A M₂ Aᵀ) is the covariance. Of fits that share nothing, that of them all.
+    Residuals M W ν of two fits that share poses are correlated by the poses' noise, A = W Wᵀ; the
+    covariance of their χ² is 2 tr(M₁ A M₂ Aᵀ). Without shared poses the sum has all of them.
     """
     parts, total = [], 0
     for fit in fits:
@@ -134,11 +134,11 @@ def chi2_freedoms(fits: Sequence[Fit]) -> float:
 
 
 def _misses(fits: Fits) -> tuple[float, float]:
-    """Return by how much rows are missed by fits without them, [m] and [rad]; NaN if unknown.
+    """Return root mean square errors at rows by fits without them, [m] and [rad]; NaN if unknown.
 
-    To first order these leave r₋ = (1 − H)⁻¹ r of a row, H = Q Qᵀ there (D. M. Allen 1974), and the
-    platform goes where legs close. Rows to verify with are in no fit, rejected ones do not count.
-    Root mean squares over targets and rows, less the instrument's noise where that is known.
+    To first order such a fit leaves r₋ = (1 − H)⁻¹ r of a row, H = Q Qᵀ there (D. M. Allen 1974);
+    the platform goes where legs close. Verification rows are in no fit; rejected rows do not count.
+    The instrument's noise is subtracted where it is known.
     """
     calibration, mechanism = fits.calibration, fits.calibration.mechanism
     observation, data = calibration.observation, calibration.measurements
@@ -192,7 +192,7 @@ def systematic(fits: Fits) -> Array:
 
 
 def covariance_by_noise(fits: Fits) -> Array:
-    """Return the covariance of all legs' parameters, then of external unknowns' steps, (n, n)."""
+    """Return the covariance (n, n) of all legs' parameters and of steps of external unknowns."""
     if fits.latent:
         return fits.fits[0].covariance
     mechanism, count = fits.calibration.mechanism, len(fits.calibration.measurements)
@@ -208,11 +208,11 @@ def covariance_by_noise(fits: Fits) -> Array:
 
 
 def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
-    """Return fits with what uncertain tolerances add to their covariances.
+    """Return fits with covariances that include the uncertainty of estimated tolerances.
 
-    To first order, ∂φ/∂ log τ² = C (φ − φ₀) / τ² of the parameters of that unit (R. E. Kass and
-    D. Steffey 1989); log τ² is known as by the k − tr C / τ² of k of them that the measurements
-    determine (D. J. C. MacKay 1992).
+    To first order ∂φ/∂ log τ² = C (φ − φ₀) / τ² over the parameters of that unit (R. E. Kass and
+    D. Steffey 1989). The measurements determine k − tr C / τ² of these k parameters, and log τ² is
+    known by that number (D. J. C. MacKay 1992).
     """
     mechanism, fits = fits_of_all.calibration.mechanism, []
     units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
@@ -222,7 +222,7 @@ def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
         values[: len(fit.parameters)] = fit.parameters - unknowns.nominal[: len(fit.parameters)]
         for tolerance in fits_of_all.calibration.tolerances:
             of_unit = np.array([units.get(id_) == tolerance.unit for id_ in unknowns.labels])
-            # others have one of their own
+            # other parameters have a given prior
             tolerated = of_unit & (unknowns.priors == tolerance.size)
             pull = np.where(tolerated, values / tolerance.size**2, 0.0)
             determined = (
@@ -236,10 +236,10 @@ def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
 
 
 def noise_freedoms(fits: Fits) -> tuple[Array, float]:
-    """Return degrees of freedom of the noise: of the variance of each unknown, (n,), and of χ².
+    """Return degrees of freedom of the noise: in the variance of each unknown, (n,), and in χ².
 
-    Infinite where the noise is known. Noise of repeated rows: as many as these have. Estimated
-    noise: by the covariance of the variance components; of a fit with its own scale, its own.
+    They are infinite for known noise, those of the repeats for noise of repeated rows, and by the
+    covariance of the variance components for estimated noise; a fit with its own scale has its own.
     """
     model, of_chi2 = fits.calibration.noise, np.inf
     if not model.known and not (fits.latent and fits.variances is not None):
@@ -261,21 +261,21 @@ def noise_freedoms(fits: Fits) -> tuple[Array, float]:
 
 
 def quantiles(degrees_of_freedom: Array) -> Array:
-    """Return how many standard errors half a 95 % interval is, of the same shape."""
+    """Return half the width of a 95 % interval in standard errors, of the same shape."""
     half = (1 + CONFIDENCE) / 2
     known = ~np.isfinite(degrees_of_freedom)
     return np.where(known, ndtri(half), stdtrit(np.where(known, 1.0, degrees_of_freedom), half))
 
 
 def _standard_errors(covariance: Array, by_systematic: Array, held: Array) -> Array:
-    """Return standard errors of n values, infinite of what held directions, (n, k), may move."""
+    """Return standard errors of n values, infinite where held directions (n, k) may move them."""
     std = np.hypot(np.sqrt(np.diagonal(covariance)), np.linalg.norm(by_systematic, axis=1))
     moved = np.linalg.norm(held, axis=1)
     return np.asarray(np.where(moved > _UNMOVED * std, np.inf, std))
 
 
 def _noise(calibration: Calibration, chi2: float) -> Noise | None:
-    """Return the noise of all rows; estimated noise to its last digit by χ²."""
+    """Return the noise of all rows; estimated noise is scaled to a reduced χ² of 1."""
     model = calibration.noise
     if model.source == "rows" or model.known or not np.isfinite(chi2):
         return None if model.source == "rows" else model.noise
@@ -286,7 +286,7 @@ def _identified(fits: Fits, std: Array, half: Array) -> tuple[IdentifiedParamete
     """Return parameters of the legs, then of frames and targets, with half intervals, (n,)."""
     calibration, options = fits.calibration, fits.calibration.options
     outside, began = calibration.observation.external, fits.fits[0].first.state.external
-    # of instruments, what their makers say, unless these find where a search begins
+    # of an instrument its nominal parameters, unless it finds the start of the search itself
     if not all(hasattr(device, "begin") for device in outside.setup.instruments):
         began = replace(began, instruments=outside.start.instruments)
     parameters, values = list(calibration.mechanism.parameters), fits.parameters.tolist()
@@ -313,7 +313,7 @@ def _identified(fits: Fits, std: Array, half: Array) -> tuple[IdentifiedParamete
 def _residuals(
     fits: Fits, parameters: Sequence[IdentifiedParameter]
 ) -> tuple[tuple[ResidualGroup, ...], tuple[ResidualGroup, ...]]:
-    """Return what is left of legs in order, and of what was measured, if poses were unknowns."""
+    """Return the residuals of the legs and, if poses were unknowns, of the platform."""
     legs, observed = {}, list[ResidualGroup]()
     for fit in fits.fits:
         residuals, shares = redundancy(fit)
@@ -338,7 +338,7 @@ def _residuals(
 
 
 def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
-    """Return what is left of what was measured of the platform; redundancies are (N, r)."""
+    """Return the residuals of the platform's measured quantities; redundancies are (N, r)."""
     observation, n_legs = fit.problem.observation, fit.problem.leg_block.n_rows
     before, after = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
     groups, columns_of = list[ResidualGroup](), enumerate(observation.names)
@@ -348,7 +348,7 @@ def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
         for column in columns.tolist():
             measured.pop(observation.names[column], None)
             axis = observation.names[column].rpartition("_")[2]
-            if not point.startswith(f"{ROW}_"):  # what is where a row stood
+            if not point.startswith(f"{ROW}_"):  # the point of another row
                 measured[f"{point}_{axis}"] = column, rows
     for name, (column, rows) in measured.items():
         counted = rows & (fit.weights > 0.0)
@@ -368,7 +368,7 @@ def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
 def _columns(
     fit: Fit, counted: Mask, before: Array, after: Array, sigma: Array, shares: Array
 ) -> dict[str, Any]:
-    """Return fields of ``ResidualGroup`` of rows that count, from arrays of shape (N[, k])."""
+    """Return fields of ``ResidualGroup`` for counted rows, from arrays of shape (N[, k])."""
     return {
         "rows": np.repeat(fit.rows[counted], before.size // len(before)),
         "sigma": fit.noise_scale * sigma[counted].ravel(),

@@ -1,9 +1,9 @@
-"""The pipeline of a calibration: read, check, start, fit, verify, decide what to say of it.
+"""The pipeline of a calibration: read, check, start, fit, find faults, validate.
 
-``calibrate``, ``explain``, the command and the doctor go this way; ``run`` has its steps in order.
-The doctor puts faults right one by one, until calibration works: of measurements as they are; with
-what explains the misfit put right; without rows that do not fit; the same in an unknown frame, of
-an unknown target too; of a machine known roughly.
+``calibrate``, ``explain``, the command and the doctor all go this way; ``run`` has the steps in
+order. The doctor tries calibrations until one works: of the measurements as they are; with a fault
+corrected that explains the misfit; without rows that do not fit; the same in an unknown frame, then
+with an unknown target as well; and of a machine that is known only roughly.
 """
 
 from __future__ import annotations
@@ -70,18 +70,18 @@ def calibrate(
 ) -> CalibrationResult:
     """Return the identified parameters of a mechanism, with uncertainties.
 
-    By default all legs are identified at once from every row, with all that was measured: this
-    reaches the Cramér–Rao bound. ``method="per-leg"`` identifies each leg alone.
+    By default all legs are identified at once from all measurements of all rows, which reaches the
+    Cramér–Rao bound. ``method="per-leg"`` identifies each leg alone.
 
     Args:
         mechanism: The nominal mechanism, where the search starts; or its name or folder.
-        measurements: What was measured; or a CSV file or a DataFrame of it.
+        measurements: The measurements; or a CSV file or a DataFrame of them.
         options: How to calibrate.
         **single_options: Options by name, such as ``noise=`` or ``setup=``: see ``Options``.
 
     Raises:
-        ObservabilityError: poses that leave parameters undetermined.
-        MeasurementError: measurements that cannot be this mechanism's, or options that do not suit.
+        ObservabilityError: the poses leave parameters undetermined.
+        MeasurementError: the measurements cannot be of this mechanism, or options do not suit them.
     """
     return run(prepared(mechanism, measurements, options, **single_options))[0]
 
@@ -92,11 +92,10 @@ def explain(
     options: Options | None = None,
     **single_options: Any,
 ) -> Explanation:
-    """Return what a calibration's residuals follow, and which terms pay.
+    """Return which terms the residuals of a calibration follow, and which of them to add.
 
-    The mechanism, measurements, options, single_options and errors are those of ``calibrate``.
-    Other columns of numbers (temperature, time, …) are tried too; ``terms`` are the kinds to try,
-    all if none are given.
+    Arguments and errors are as in ``calibrate``; ``terms`` are the kinds of terms to try, by
+    default all. Other numeric columns (temperature, time, …) are tried as influences.
     """
     asked = Options.of(options, **single_options)
     return explained(prepared(mechanism, measurements, asked, terms=asked.terms or (AUTO,)))
@@ -108,7 +107,7 @@ def prepared(
     options: Options | None = None,
     **single_options: Any,
 ) -> Calibration:
-    """Return a calibration to be done; arguments and errors are those of ``calibrate``."""
+    """Return a calibration to be run; arguments and errors are as in ``calibrate``."""
     asked = Options.of(options, **single_options)
     machine = as_mechanism(mechanism)
     data = read_measurements(
@@ -120,16 +119,17 @@ def prepared(
     )
     priors, setup = asked.priors_of(machine.parameters), asked.setup.of_rows(data.contacts)
     completed = replace(asked, setup=setup, priors=priors)
-    # a copy of the measurements: the user's may be changed
+    # a copy, since the user may change the measurements later
     return with_followed_influences(Calibration(machine, replace(data), completed))
 
 
 def identified(
     asked: Calibration, near: Fits | None = None
 ) -> tuple[CalibrationResult, Fits, Fits]:
-    """Return the result of a calibration without findings; its fits, and those of sure tolerances.
+    """Return the result of a calibration without findings, and its fits before and after widening.
 
-    Near are fits whose model lacks something; errors are those of ``calibrate``.
+    The second fits include the uncertainty of estimated tolerances. ``near`` are earlier fits whose
+    residuals said that the model lacks something. Errors are as in ``calibrate``.
     """
     calibration = replace(near.calibration, lacks=True) if near else started(asked)
     try:
@@ -144,10 +144,10 @@ def identified(
 def run(
     asked: Calibration, folds: int | None = None, by: By = "region", near: Fits | None = None
 ) -> tuple[CalibrationResult, Fits, list[str]]:
-    """Return the result of a calibration, its fits, and why no rows were held out if some were to.
+    """Return the result of a calibration, its fits, and notes on why no rows were held out.
 
-    Folds and ``by`` are those of ``CalibrationResult.validated``, 0 or None for none; errors those
-    of ``calibrate``. Near are those of ``identified``.
+    ``folds`` (0 or None for none) and ``by`` are as in ``CalibrationResult.validated``, ``near`` as
+    in ``identified``, and errors as in ``calibrate``.
     """
     result, fits, sure_fits = identified(asked, near)
     findings = (*explain_result(result, fits.external), *findings_of(result, sure_fits))
@@ -171,8 +171,8 @@ def run(
         return result, fits, [f"no held-out validation: {error}"]
 
 
-_BLAME_EVALUATIONS = 200  # the others fit each other in tens, if any do
-_FEW = 0.25  # of the rows: more that do not fit are no outliers
+_BLAME_EVALUATIONS = 200  # rows that fit each other take tens
+_FEW = 0.25  # share of rows that do not fit, up to which these are outliers
 #: Findings that follow from wrong rows.
 _FOLLOW = CONTRADICTING - {"terms-chosen"} | {"bad-rows", "outliers"}
 
@@ -180,16 +180,16 @@ _FOLLOW = CONTRADICTING - {"terms-chosen"} | {"bad-rows", "outliers"}
 def blame_wrong_rows(
     result: CalibrationResult, findings: tuple[Finding, ...]
 ) -> tuple[tuple[Finding, ...], tuple[Outlier, ...]]:
-    """Return findings and outliers that name the few rows that alone spoil a result, if any do.
+    """Return findings and outliers that blame a few wrong rows, if χ² is right without them.
 
-    They do if χ² without them is as it should be. Numbers stay those of all rows: the user says
-    what is left out. What only follows from these rows is no longer said.
+    The numbers of the result remain those of all rows, since the user decides what is left out.
+    Findings that follow from the wrong rows are dropped.
     """
     try:
         calibration = result.calibration.with_options(loss="reject")
         fits = fitted(calibration, patience=_BLAME_EVALUATIONS)
         robust = assemble(fits)
-    except (PincalError, np.linalg.LinAlgError):  # rows that fit may not determine all
+    except (PincalError, np.linalg.LinAlgError):  # the other rows may determine too little
         return findings, result.outliers
     total = len(result.measurements)
     least = -ndtri(FALSE_ALARM / (2.0 * total))  # Bonferroni: one sound set in a hundred has any
@@ -202,13 +202,13 @@ def blame_wrong_rows(
     wrong_rows = finding("wrong-rows", rows, total=total, **values)
     without_rows = [remark for remark in findings_of(robust, fits) if remark.code in _FOLLOW]
     unrelated = [remark for remark in findings if remark.code not in _FOLLOW]
-    outliers = tuple(replace(outlier, weight=1.0) for outlier in rejected)  # they took part
+    outliers = tuple(replace(outlier, weight=1.0) for outlier in rejected)  # as in the result
     return (wrong_rows, *without_rows, *unrelated), outliers
 
 
 @one_thread()
 def started(calibration: Calibration) -> Calibration:
-    """Return a calibration whose measurements were looked at: its terms, where a search starts."""
+    """Return a calibration with its measurements checked, and with its terms and start."""
     options = calibration.options
     check_noise(calibration.mechanism, options.noise)
     check_copies(calibration.measurements, every_pose=options.every_pose)
@@ -230,7 +230,7 @@ def started(calibration: Calibration) -> Calibration:
 
 @one_thread()
 def explained(calibration: Calibration) -> Explanation:
-    """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
+    """Return the explanation of a calibration to be run, whose terms are those to try."""
     tried = calibration.options.terms
     plain = replace(calibration, options=replace(calibration.options, terms=()))
     pairs = parse_terms(tried, plain.mechanism)
@@ -253,9 +253,9 @@ def _with_terms(calibration: Calibration) -> Calibration:
 
 
 def explained_error(calibration: Calibration, error: Exception) -> Exception:
-    """Return what to raise of a fit that failed: the fault that explains it, if there is one."""
+    """Return the error to raise for a failed fit: the fault that explains it, if there is one."""
     faults = explain_misfit(calibration)
-    if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that
+    if isinstance(error, ObservabilityError):  # a few strange rows do not cause that
         faults = tuple(fault for fault in faults if fault.severity == "error")
     if faults:
         return MisfitError(sentences(faults)[0])
@@ -269,7 +269,7 @@ def explained_error(calibration: Calibration, error: Exception) -> Exception:
 
 
 def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding, ...]:
-    """Return what would explain residuals that are too large, and boards that are not as said."""
+    """Return findings that would explain too large residuals, and faults of boards."""
     if not result.explained:
         return explain_misfit(result.calibration, frame)
     if result.options.setup.pixels:
@@ -280,22 +280,22 @@ def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding,
 
 @dataclass(frozen=True)
 class Remedy:
-    """What was put right, and what calibration then gives."""
+    """A correction of the measurements or options, and the calibration with it."""
 
     findings: tuple[Finding, ...]
-    """What was wrong with the measurements, if this is what was."""
+    """The faults that are corrected."""
     calibration: Calibration
-    """Measurements put right, and options that help."""
+    """The calibration with corrected measurements and options."""
     result: CalibrationResult | None
-    """None if calibration refused."""
+    """The result; None if calibration raised an error."""
     trouble: str
-    """Why it was refused; empty if it was not."""
+    """The error of the calibration; empty without one."""
     whatever_the_loss: bool = False
-    """Whether it was refused for what is so in most rows."""
+    """Whether the error is about most rows, so that no robust loss would help."""
 
     @property
     def works(self) -> bool:
-        """Whether the search converged, nothing contradicts it, and every row that counts fits."""
+        """Whether the search converged, nothing contradicts it, and every used row fits."""
         result = self.result
         if result is None or not result.converged or not result.promises:
             return False
@@ -303,7 +303,7 @@ class Remedy:
 
 
 def remedies(calibration: Calibration) -> Iterator[Remedy]:
-    """Yield what was tried, the simplest first, until something works; all that fit alike."""
+    """Yield remedies, the simplest first, up to the end of the stage in which one works."""
     for stage in _stages(calibration):
         yield from stage
         if any(remedy.works for remedy in stage):
@@ -314,7 +314,7 @@ def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
     setup = calibration.options.setup
     framed, placed = setup.anywhere(frame=True), setup.anywhere(frame=True, target=True)
     setups = [setup] + [framed] * (framed != setup) + [placed] * (placed != framed)
-    for known in setups:  # the less is known of frame and target
+    for known in setups:  # with less and less known about frame and target
         in_setup = calibration.with_options(setup=known)
         first = _attempt((), in_setup)
         yield [first]
@@ -335,7 +335,7 @@ def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
 
 
 def _rejecting(remedies: Sequence[Remedy]) -> list[Remedy]:
-    """Return what remedies give without rows that do not fit, where these are few."""
+    """Return the remedies with rows rejected that do not fit, where these are few."""
     few = []
     for remedy in remedies:
         result = remedy.result
@@ -356,7 +356,7 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     except PincalError as error:
         return Remedy(findings, calibration, None, str(error), isinstance(error, MeasurementError))
     try:
-        check_noise(calibration.mechanism, result.noise)  # an estimate may be what went wrong
+        check_noise(calibration.mechanism, result.noise)  # an estimate may be implausible
     except MeasurementError:
         return Remedy(findings, calibration, None, "residuals are too large for noise")
     remedy = Remedy(findings, calibration, result, "")

@@ -1,4 +1,4 @@
-"""A calibration to be done: a mechanism, measurements and options, checked; its problems."""
+"""A calibration to be run: mechanism, measurements and options, and the problems they pose."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pincal.types import Array, Index, Mask
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is to be identified from what."""
+    """A mechanism to be identified from measurements, with options."""
 
     mechanism: Mechanism
     """The nominal mechanism."""
@@ -35,13 +35,13 @@ class Calibration:
     start: Array | None = field(default=None, compare=False, repr=False)
     """Parameters of all legs from which the search starts, shape (n_params,); nominal if None."""
     known_noise: NoiseModel | None = field(default=None, compare=False, repr=False)
-    """Noise of these rows as it was found with others or before; as was measured if None."""
+    """Noise of these rows from an earlier fit; None for that of the options and measurements."""
     fixed_noise: bool = field(default=False, compare=False, repr=False)
-    """Whether noise is taken as it is though its scale was estimated: from more rows than these."""
+    """Whether an estimated noise is not to be estimated again: it is from more rows than these."""
     lacks: bool = field(default=False, compare=False, repr=False)
     """Whether residuals said that the model lacks something: see ``tie_of``."""
     tolerances: tuple[FoundTolerance, ...] = field(default=(), compare=False, repr=False)
-    """Sizes of tolerances that were found by the measurements."""
+    """Sizes of tolerances as estimated from the measurements."""
 
     def __post_init__(self) -> None:
         mechanism, data = self.mechanism, self.measurements
@@ -77,13 +77,13 @@ class Calibration:
 
     @cached_property
     def noise(self) -> NoiseModel:
-        """Standard deviations of what was measured, or where their estimate begins."""
+        """Standard deviations of the measurements, or where their estimate begins."""
         return self.known_noise or noise_model(
             self.mechanism, self.measurements, self.options.noise, self.options.setup
         )
 
     def with_noise(self, noise: Noise) -> Calibration:
-        """Return the calibration with noise that was estimated; pixels' own keep proportions."""
+        """Return the calibration with estimated noise; columns of pixels' noise are scaled."""
         data, before = self.measurements, self.noise
         scaled = {n: s * (noise.pixel / before.noise.pixel) for n, s in data.sigma_extra.items()}
         data = replace(data, sigma_extra=scaled)
@@ -129,7 +129,7 @@ class Calibration:
 
     @cached_property
     def used(self) -> Mask:
-        """Which row serves which leg, shape (N, n_legs)."""
+        """Which rows are used for which leg, shape (N, n_legs)."""
         data = self.measurements
         if self.options.latent:
             measured = np.isfinite(data.readings)
@@ -142,10 +142,10 @@ class Calibration:
 
     @cached_property
     def counts(self) -> Mask:
-        """Rows that the fit follows, shape (N,): neither for verification, nor repeats of equals.
+        """Which rows the fit uses, shape (N,): all except verification rows and equal repeats.
 
-        Of rows that ``pose`` marks as repeats and that are equal in all that was measured, the
-        first: at a sensor's resolution they say no more than one of them.
+        Of rows that ``pose`` marks as repeats and that are equal in every measured value, only the
+        first counts: at a sensor's resolution they say no more than one row.
         """
         data = self.measurements
         counted = ~data.verifying
@@ -166,9 +166,10 @@ class Calibration:
         used: Mask | None = None,
         pose_roots: Array | None = None,
     ) -> LegBlock:
-        """Return the residual block of some legs at some rows, used by legs (N, n_legs), or all.
+        """Return the residual block of some legs at some rows.
 
-        Roots of the poses' covariance say that these are taken as measured.
+        ``used``, (N, n_legs), is which rows are used for which leg, by default all; ``pose_roots``
+        are roots of the covariance of poses that are taken as measured.
         """
         mechanism = self.mechanism
         every = np.arange(len(mechanism.reading_names))
@@ -189,21 +190,21 @@ class Calibration:
         )
 
     def every_leg(self, used: Mask | None = None) -> Problem:
-        """Return the problem of all legs at all rows, without a start; used as in ``leg_block``."""
+        """Return the problem of all legs at all rows without a start; ``used`` as in leg_block."""
         rows, legs = np.arange(len(self.measurements)), range(len(self.mechanism.legs))
         noise = self.observation.row_noise(self.measurements, self.noise.noise)
         return Problem(self.leg_block(legs, rows, used), self.observation.with_noise(noise))
 
     @cached_property
     def influences(self) -> Array:
-        """What terms depend on, row by row, shape (N, n_influences)."""
+        """Influence quantities of the terms, shape (N, n_influences)."""
         data = self.measurements
         values = {name: data.influences[name] for name in self.mechanism.influences}
         return influence_columns(self.mechanism, values, len(data))
 
     @cached_property
     def latent_problem(self) -> Problem:
-        """The problem of all legs with unknown poses, without a start; rows fix their poses."""
+        """The problem of all legs with unknown poses, at rows that determine them, no start yet."""
         problem = self.every_leg(self.used)
         leg_block, dof = problem.leg_block, problem.platform.dof
         if (problem.equations < 0).any():
@@ -227,12 +228,12 @@ class Calibration:
         nominal = self.unknowns.start[: problem.leg_block.n_parameters]
         first = align_start(self.mechanism, problem, self.measurements, nominal)
         complete = self.options.setup.plain and np.isfinite(self.measurements.poses).all()
-        if not (self.options.rough or complete):  # complete poses are checked as such
+        if not (self.options.rough or complete):  # complete poses are checked elsewhere
             check_start(problem, first)
         return replace(problem, first=first)
 
     def measured_problem(self, names: Sequence[str]) -> tuple[Problem, Index]:
-        """Return the problem of some legs at poses as measured, and the rows that serve them."""
+        """Return the problem of some legs at poses as measured, and the rows that it uses."""
         legs = [self.mechanism.leg_names.index(name) for name in names]
         used, rows = self.used[:, legs], np.flatnonzero(self.used[:, legs].any(axis=1))
         matrices = self.mechanism.platform.matrices(self.measurements.poses[rows])
@@ -252,7 +253,7 @@ class Calibration:
                 yield leg.name, count, n, least
 
     def check_counts(self) -> None:
-        """Raise if there are too few poses for a leg, or one as measured is not complete."""
+        """Raise if a leg has too few poses, or if poses are to be complete and are not."""
         data, mechanism = self.measurements, self.mechanism
         columns = (*mechanism.platform.coordinates, *mechanism.reading_names)
         gaps = np.argwhere(np.isnan(np.column_stack([data.poses, data.readings])))
@@ -264,7 +265,7 @@ class Calibration:
         for name, count, n, least in self.short_legs():
             added = " and the scale of the noise" * (not (self.noise.known or self.options.latent))
             remedy = ". --poses all uses every pose for every leg" * (not self.options.every_pose)
-            if self.options.latent and not self.noise.known:  # which alone cannot be found
+            if self.options.latent and not self.noise.known:  # only the noise cannot be estimated
                 remedy = (
                     ". The noise was not given, and so few rows do not show it; give it "
                     "(--noise-position, --noise-orientation, --noise-reading) to identify what "
@@ -277,7 +278,7 @@ class Calibration:
 
 
 def with_followed_influences(calibration: Calibration) -> Calibration:
-    """Return a calibration whose measurements hold all columns on which terms depend."""
+    """Return a calibration whose measurements have all columns that terms depend on."""
     mechanism, data = calibration.mechanism, calibration.measurements
     if not set(mechanism.influences) - set(data.influences):
         return calibration
@@ -288,7 +289,7 @@ def with_followed_influences(calibration: Calibration) -> Calibration:
 
 
 def located(calibration: Calibration) -> Measurements:
-    """Return measurements with complete poses in the base frame, by the machine as drawn."""
+    """Return the measurements with complete poses in the base frame of the nominal machine."""
     drawing, data = calibration.mechanism.drawing, calibration.measurements
     options = Options(noise=calibration.options.noise, setup=calibration.options.setup)
     drawn = Calibration(drawing, data, options, known_noise=calibration.known_noise)

@@ -1,4 +1,4 @@
-"""What the reader of a calibration should know before its numbers, as data."""
+"""The findings of a calibration: what its reader should know before its numbers, as data."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
     from pincal.calibration.result_parts import IdentifiedParameter
 
-MANY_ROWS = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
-_FEW_RESIDUALS = 1.5  # residuals a parameter, below which more poses are advised
-_EXPLAINS = 0.25  # of what χ² exceeds the noise given by, from which a course is its cause
-_REPEATS = 4  # times that a pose was measured, from which one asks whether it moved
-_SPREAD = 0.5  # share of the run over which these must lie
+MANY_ROWS = 0.1  # share of rows that do not fit, above which the noise or the model is doubted
+_FEW_RESIDUALS = 1.5  # residuals per parameter, below which more poses are advised
+_EXPLAINS = 0.25  # share of the excess of χ², above which a course is its cause
+_REPEATS = 4  # measurements of a pose, from which its motion is tested
+_SPREAD = 0.5  # share of the run over which these must be spread
 
 
 def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
-    """Return what to know first of a result, by it and by the residuals of its fits."""
+    """Return the findings of a result, by its numbers and by the residuals of its fits."""
     held, lacks, rows = fits.held, list[Finding](), list[Finding]()
     first, astray, noise, far = list[Finding](), list[Finding](), _noise(result), _far(result)
     if held is not None and (held.groups or held.weak):  # a misfit may be why a search went astray
@@ -59,7 +59,7 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
 
 
 def _few(result: CalibrationResult) -> list[Finding]:
-    """Return which legs have few poses for their parameters, legs alike together."""
+    """Return a finding for legs with few poses for their parameters, equal numbers together."""
     few: dict[tuple[int, int], list[str]] = {}
     for leg in result.legs:
         if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters):
@@ -71,7 +71,7 @@ def _few(result: CalibrationResult) -> list[Finding]:
 
 
 def points_left_out(measured: Measurements, used: Measurements) -> tuple[Finding, ...]:
-    """Return which quantities of which rows a fit does without, two of each point in a photo."""
+    """Return a finding with the points of photos that a fit leaves out (two quantities each)."""
     gone = {n: np.isfinite(v) & ~np.isfinite(used.extra[n]) for n, v in measured.extra.items()}
     places = sorted((int(row), name) for name in gone for row in np.flatnonzero(gone[name]))[::2]
     names = tuple(name.removesuffix("_u").replace("_", " ", 1) for _, name in places)
@@ -79,7 +79,7 @@ def points_left_out(measured: Measurements, used: Measurements) -> tuple[Finding
 
 
 def rounding(fits: Fits) -> bool:
-    """Return whether residuals are rounding errors, in which nothing can be read."""
+    """Return whether residuals are rounding errors, which say nothing."""
     limit = 10.0 * ROUNDING * max(1.0, fits.calibration.mechanism.size)
     parts = [fit.last.conditions[fit.good] for fit in fits.fits]
     return all(np.abs(part).max(initial=0.0) <= limit for part in parts)
@@ -118,9 +118,9 @@ def _noise(result: CalibrationResult) -> list[Finding]:
 def _proportion(fits: Fits) -> list[Finding]:
     """Return a finding if some measured quantities are noisier than given, others less.
 
-    Score test of variance components at the noise given: q has the mean F 1 and the covariance 2 F,
-    and that of the noise itself where repeated rows show it; its cube roots are about normal (E. B.
-    Wilson, M. M. Hilferty 1931). Of legs alone, which share noise of poses, it says nothing.
+    It is a score test of variance components at the given noise: q has the mean F 1 and the
+    covariance 2 F, plus that of the noise where repeated rows show it; its cube roots are nearly
+    normal (E. B. Wilson, M. M. Hilferty 1931). Separate legs, which share noise, are not tested.
     """
     noise = fits.calibration.noise
     if not (fits.latent and noise.known) or any(fit.system.loss is not None for fit in fits.fits):
@@ -143,11 +143,12 @@ def _proportion(fits: Fits) -> list[Finding]:
 
 
 def lacking(fits: Fits) -> list[Finding]:
-    """Return what residuals follow that the model lacks: all tests as one, the clearest named.
+    """Return findings of errors that the model lacks, by all tests of residuals combined.
 
-    And of what was measured of one pose again and again. What all readings have in common weighs as
-    much as all single ones. One in a hundred sound calibrations has such findings. What explains
-    little of a misfit is not named: another cause looks like a step, too.
+    The most significant test is named; repeated measurements of a pose are a test of their own.
+    Tests of all readings together weigh as much as all tests of single readings. One in a hundred
+    sound calibrations has such a finding. An error that explains little of a misfit is not named,
+    since other causes look like a step, too.
     """
     data = fits.calibration.measurements
     scored = [
@@ -172,7 +173,7 @@ def lacking(fits: Fits) -> list[Finding]:
 
 
 def _followed(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
-    """Return what residuals follow, or that what was measured at one pose moved with time."""
+    """Return a finding for an error that residuals follow, or for a pose that moved with time."""
     values: dict[str, Any] = {"quantity": worst.quantity, "p_value": p_value}
     if worst.correlation:
         return finding("rows-alike", correlation=worst.correlation, **values)
@@ -186,7 +187,7 @@ def _followed(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Fin
 
 
 def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:
-    """Return which rows of a fit are of poses that were measured again through the run."""
+    """Return the rows of a fit by names of poses that were measured repeatedly during the run."""
     names = np.array(data.places or ("",) * len(data))[rows]
     rows_by_name = {str(name): np.flatnonzero(names == name) for name in np.unique(names) if name}
     return {
@@ -197,13 +198,13 @@ def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:
 
 
 def _far(result: CalibrationResult) -> list[Finding]:
-    """Return findings if parameters moved farther than those of one machine differ, or might."""
+    """Return a finding if parameters moved, or noise might move them, implausibly far."""
     options = result.options
     parameters = _of_legs(result)
     plausible = plausible_changes(result.nominal)
     values: dict[str, Any]
     std, half = (np.array(v) for v in zip(*((p.std, p.half) for p in parameters), strict=True))
-    std = np.where(np.isfinite(std), std, 0.0)  # what was held no noise has moved
+    std = np.where(np.isfinite(std), std, 0.0)  # noise does not move held parameters
     std, half = std / result.excess, half / result.excess  # by poses and noise, not by misfit
     if (weak := np.flatnonzero(std > plausible)).size:
         worst = parameters[int(np.argmax(std / plausible))]
@@ -223,5 +224,5 @@ def _far(result: CalibrationResult) -> list[Finding]:
 
 
 def values_of(outlier: Outlier) -> dict[str, Any]:
-    """Return what findings say of a row that does not fit."""
+    """Return the values of a finding for a row that does not fit."""
     return {name: getattr(outlier, name) for name in ("sigma", "quantity", "off")}

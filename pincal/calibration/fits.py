@@ -1,7 +1,7 @@
-"""The fits of a calibration: all legs at once, or each leg alone; noise and tolerances found.
+"""The fits of a calibration: all legs at once, or each leg alone, with estimated variances.
 
-Standard deviations that were not given, of the noise and of how far machines differ from their
-drawing (``--tolerance auto``), are variance components: fits and these follow each other.
+Standard deviations that are not given, of the noise and of how far machines differ from their
+drawing (``--tolerance auto``), are variance components. They are estimated in turn with the fits.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ from pincal.types import Array, Index, Mask
 from pincal.words.findings import WORDINGS, finding
 from pincal.words.wording import filled
 
-ROUNDS = 20  # of noise, or of frames, in turn with the legs
-_HELD_MOST = 100.0  # times better determined than machines differ: those directions are always free
-_PATIENCE = 250  # evaluations of a search before it is asked whether it runs astray; twice if near
-_REFITS = 5  # with noise that was estimated
-SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
+ROUNDS = 20  # largest number of alternations of fits with the noise, or with frames
+_HELD_MOST = 100.0  # how far machines differ over the standard error: such directions are free
+_PATIENCE = 250  # evaluations after which a search may be running away; twice as many if near
+_REFITS = 5  # largest number of fits with estimated noise
+SETTLED = 1e-3  # relative change of an estimated standard deviation that is negligible
 
 
 @dataclass(frozen=True)
@@ -61,14 +61,14 @@ class Fits:
     """Fits that together identify all legs."""
 
     calibration: Calibration
-    """With the noise that was given or estimated."""
+    """The calibration, with the noise that was given or estimated."""
     fits: list[Fit]
     gauge: Gauge | None = None
     """Gauge freedoms."""
     held: HeldUnknowns | None = None
-    """What the measurements cannot observe, if that was held."""
+    """Directions that the measurements do not determine and that were held, if any."""
     variances: Array | None = None
-    """Covariance of the relative variances of groups, if they were estimated, shape (3, 3)."""
+    """Covariance of the groups' relative variances, if these were estimated, shape (g, g)."""
 
     @property
     def latent(self) -> bool:
@@ -82,12 +82,12 @@ class Fits:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Of all fits."""
+        """Degrees of freedom of all fits."""
         return sum(fit.degrees_of_freedom for fit in self.fits)
 
     @property
     def chi2(self) -> float:
-        """Of all fits."""
+        """χ² of all fits."""
         return sum(fit.chi2 for fit in self.fits)
 
     @property
@@ -97,7 +97,7 @@ class Fits:
 
     @property
     def sound(self) -> bool:
-        """Whether the residuals say something about the noise."""
+        """Whether the residuals tell something about the noise."""
         return self.converged and all(fit.degrees_of_freedom > 0 for fit in self.fits)
 
     @property
@@ -107,18 +107,18 @@ class Fits:
 
     @property
     def reading_unit(self) -> float:
-        """Standard deviation of readings, [m or rad]; an assumed one if they are exact."""
+        """Standard deviation of readings, [m] or [rad]; an assumed one if they are exact."""
         assumed = assumed_noise(self.calibration.mechanism, exact=False).reading
         return self.noise.reading or assumed
 
     @property
     def moments(self) -> Moments:
-        """What the residuals say of the variances of groups."""
+        """Moments of the residuals for the variances of groups."""
         return Moments.of(self.fits, self.reading_unit)
 
     @property
     def places(self) -> list[Index]:
-        """Places of the unknowns of each fit among those of all legs, then external ones."""
+        """Indices of each fit's unknowns among the unknowns of all legs and the external ones."""
         if self.latent:
             return [np.arange(len(self.fits[0].unknowns.labels))]
         owners = np.array([p.owner for p in self.calibration.mechanism.parameters])
@@ -142,9 +142,11 @@ def fitted(
 ) -> Fits:
     """Return the fits of a calibration, the noise estimated by group if it was not given.
 
-    Near are fits of all legs at once near which the optimum is, from which the search begins; rows,
-    shape (N,), which of theirs these are, if they are of more rows, or fewer terms. A search of all
-    legs at once takes as many evaluations as there is patience, or a usual number.
+    Args:
+        calibration: The calibration.
+        near: Fits of all legs at once near the optimum, from which the search begins.
+        rows: Which rows of ``near`` these are, shape (N,), if it has more rows or fewer terms.
+        patience: Largest number of evaluations of a search of all legs; None for the usual number.
     """
     latent = calibration.options.latent
     fits = _all_legs(calibration, near, rows, patience) if latent else _measured(calibration)
@@ -153,7 +155,7 @@ def fitted(
 
 
 def _with_estimated_noise(fits: Fits) -> Fits:
-    """Return fits at the noise that their residuals show, by group, with what that widens."""
+    """Return fits at the noise that their residuals show, with covariances widened for it."""
     calibration, mechanism = fits.calibration, fits.calibration.mechanism
     assumed, tie = assumed_noise(mechanism, exact=False), None
     plausible = 0.0 if calibration.lacks else PLAUSIBLE * assumed.reading
@@ -181,15 +183,15 @@ def _with_estimated_noise(fits: Fits) -> Fits:
 
 
 def _again(fits: Fits, noise: Noise) -> Fits:
-    """Return fits at other noise, begun where they ended."""
+    """Return fits at other noise, begun where these ended."""
     calibration = fits.calibration.with_noise(noise)
     return _all_legs(calibration, fits) if fits.latent else _measured(calibration)
 
 
 def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> Noise:
-    """Return the noise that the residuals of fits show, of which some is assumed to be alike.
+    """Return the noise that the residuals of fits show, under the assumptions on its groups.
 
-    In turn with the fits at that noise, to first order: they need no new search.
+    It is estimated in turn with the fits at that noise, to first order without a new search.
     """
     for _ in range(ROUNDS):
         fits = replace(fits, fits=with_exact_readings(fits.fits, fits.noise, assumed))
@@ -203,7 +205,7 @@ def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> No
             measured = None if fits.latent else calibration.measured_problem(names)[0]
             refits.append(fit.at_noise_of(measured or calibration.latent_problem))
         fits = replace(fits, calibration=calibration, fits=refits)
-    scale = moments.scale**0.5 or 1.0  # not one where some are assumed to be alike
+    scale = moments.scale**0.5 or 1.0  # differs from 1 because of the assumptions
     return Noise(*(scale * value for value in vars(fits.noise).values()))
 
 
@@ -218,7 +220,7 @@ def _all_legs(
     rows: Mask | None = None,
     patience: int | None = None,
 ) -> Fits:
-    """Return the fit of all legs, poses and frames at once; arguments as in ``fitted``."""
+    """Return the fit of all legs, poses and frames at once; arguments are as in ``fitted``."""
     mechanism, options = calibration.mechanism, calibration.options
     if not calibration.counts.any():
         raise ObservabilityError(
@@ -240,7 +242,7 @@ def _all_legs(
         fit, held = _fit_all(calibration, system, start), None
     else:
         fit, held = _fit_holding(calibration, system, start, former)
-    if former:  # whose search began where this one's would have
+    if former:  # its search began where this one would have begun
         fit = replace(fit, first=former.fits[0].first)
     return Fits(calibration, [fit], gauge, held)
 
@@ -248,9 +250,9 @@ def _all_legs(
 def _beginning(
     problem: Problem, begin: Fits | None, rows: Mask | None
 ) -> tuple[State | Linear | None, Gauge | None, State | None]:
-    """Return where a search starts, the gauge, and where it would have started; None if not known.
+    """Return where a search starts, its gauge, and its start without ``begin``; None if unknown.
 
-    Of fits of more rows the gauge is the same where the same is measured. Terms begin at zero.
+    Fits of more rows have the same gauge if the same quantities are measured. Terms begin at zero.
     """
     if begin is None:
         return None, None, None
@@ -265,24 +267,24 @@ def _beginning(
     columns = (part.observation.measured.T for part in (fit.problem, problem))
     if any(a.any() != b.any() for a, b in zip(*columns, strict=True)):
         return start, None, None
-    # what is held follows where the search would have started
+    # held directions depend on the start that the search would have had
     holds = begin.held is not None and begin.held.directions.size > 0
     return start, begin.gauge, None if holds else start
 
 
 def _values(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, float]:
-    """Return values of the parameters of legs by their ids, shape (n_params,); nominal if None."""
+    """Return values of the legs' parameters, shape (n_params,), by ids; nominal values if None."""
     nominal = np.concatenate([leg.nominal for leg in legs])
     ids = [id_ for leg in legs for id_ in leg.parameter_ids]
     return dict(zip(ids, nominal if parameters is None else parameters, strict=True))
 
 
 def _fit_all(calibration: Calibration, system: System, start: State | Linear | None) -> Fit:
-    """Return a fit with nothing held; what is weakly determined goes where the measurements say.
+    """Return a fit in which no direction is held, even if it is weakly determined.
 
     Raises:
-        ObservabilityError: directions that no noise, however small, would let be observed, or along
-            which noise moves parameters beyond what machines are.
+        ObservabilityError: a direction is unobservable even without noise, or noise moves
+            parameters farther along it than machines differ from their drawing.
     """
     begin = start or system.problem.start(system.unknowns.start)
     linear = begin if isinstance(begin, Linear) else system.problem.evaluate(begin)
@@ -300,7 +302,7 @@ def _fit_all(calibration: Calibration, system: System, start: State | Linear | N
 def _fit_holding(
     calibration: Calibration, system: System, start: State | Linear | None, former: Fits | None
 ) -> tuple[Fit, HeldUnknowns]:
-    """Return a fit with weak directions held, and what was: one more each until it converges."""
+    """Return a fit with weak directions held, one more each time until it converges; and these."""
     held = held_before = former.held if former else None
     fewest, problem, near = held.fewest if held else 0, system.problem, start is not None
     mechanism, loss = calibration.mechanism, loss_of(calibration.options.loss)
@@ -309,13 +311,13 @@ def _fit_holding(
     begin = start if isinstance(start, Linear) else nominal
     while True:
         held = hold_unobservable(mechanism, system, nominal, held, fewest)
-        if isinstance(start, State):  # with what is held at nominal
+        if isinstance(start, State):  # held directions start at nominal
             n = len(start.parameters)
             T, values = held.unknowns.map[:n], held.unknowns.start[:n]
             z = np.linalg.lstsq(T, start.parameters - values, rcond=None)[0]
             begin = problem.evaluate(replace(start, parameters=values + T @ z))
         elif held_before and held.directions.shape[1] > held_before.directions.shape[1]:
-            begin, near = nominal, False  # there what is held besides is held
+            begin, near = nominal, False  # where the additional directions are at nominal
         may_hold_more = held.weakest < _HELD_MOST
         holding = replace(system, unknowns=held.unknowns)
         try:
@@ -340,7 +342,7 @@ def _unless_astray(
     *,
     near: bool,
 ) -> Fit:
-    """Return a fit; if its search soon leaves what machines differ by, where it was then."""
+    """Return a fit; if its search soon moves farther than machines differ, the unfinished fit."""
     patience = _PATIENCE * (1 + near)
     fit = robust_fit(replace(system, max_evaluations=patience), loss, begin, near=near)
     changes = np.abs(fit.parameters - nominal.state.parameters)
@@ -350,13 +352,13 @@ def _unless_astray(
 
 
 def _measured(calibration: Calibration) -> Fits:
-    """Return the fits of each leg alone, at poses as measured; from nominal values."""
+    """Return the fits of each leg alone, at poses as measured, from nominal values."""
     mechanism, options = calibration.mechanism, calibration.options
     calibration.check_counts()
     unknowns, fits = calibration.unknowns, []
     tied = [leg.name for leg in mechanism.legs if set(options.tied) & set(leg.parameter_names)]
     singly = [[name] for name in mechanism.leg_names if name not in tied]
-    for names in [tied, *singly] if tied else singly:  # what is tied is identified at once
+    for names in [tied, *singly] if tied else singly:  # tied legs are identified together
         options.report(f"identifying {', '.join(names)}")
         problem, rows = calibration.measured_problem(names)
         free, counts = unknowns.part(names), calibration.counts[rows]
@@ -368,15 +370,15 @@ def _measured(calibration: Calibration) -> Fits:
 
 
 def with_found_tolerance(calibration: Calibration) -> Calibration:
-    """Return a calibration with tolerances found by its measurements, if it asks for that."""
+    """Return a calibration with tolerances estimated from its measurements, if it asks for that."""
     if calibration.options.tolerance != AUTO:
         return calibration
     units = _tolerated(calibration)
-    sought = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two say nothing
+    sought = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two are too few
     groups = {id_: place for place, unit in enumerate(sought) for id_ in units[unit]}
     size = calibration.mechanism.size
     sizes = farthest = np.array([DIFFER * (size if unit == "m" else 1.0) for unit in sought])
-    estimates = dict.fromkeys(units, (np.inf, 0.0, np.inf))  # size, ends of its interval
+    estimates = dict.fromkeys(units, (np.inf, 0.0, np.inf))  # size, and ends of its interval
     for _ in range(ROUNDS if sought else 0):
         known = dict(zip(sought, sizes.tolist(), strict=True))
         calibration = calibration.with_options(tolerance=known)
@@ -388,7 +390,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
                 "these rows do not tell noise from how far the machine is from its drawing; "
                 "measure more, or give the noise (--noise-position …) or --tolerance 0.5mm,5mrad"
             ) from error
-        calibration = fits.calibration  # at whose noise the next search begins
+        calibration = fits.calibration  # with the noise where the next search begins
         parts = [Evidence.of(fit, groups) for fit in fits.fits]
         rise = float(chdtri(1, 1.0 - CONFIDENCE))
         last, (sizes, ends) = sizes, likeliest(parts, sizes, (ALIKE * farthest, farthest), rise)
@@ -401,7 +403,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
 
 
 def _tolerated(calibration: Calibration) -> dict[str, list[str]]:
-    """Return ids of the parameters whose tolerance is to be found, by unit."""
+    """Return the ids of parameters whose tolerance is to be estimated, by unit."""
     ids_by_unit: dict[str, list[str]] = {}
     free = calibration.unknowns
     moved = dict(zip(free.labels, free.map.any(axis=1) & ~np.isfinite(free.priors), strict=True))

@@ -1,4 +1,4 @@
-"""What a calibration found: parameters with uncertainties, and what it was made from."""
+"""The result of a calibration: parameters with uncertainties, and what they were made from."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from pincal.words.table import Table
 
 
-_PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
-_MISSED = 0.01  # standard deviations, below which a leg misses nothing
-_FELL = 0.5  # share of the residuals that may be left if anything was corrected
+_PROMISED = 3.0  # residuals over the given noise, up to which the noise may just be larger
+_MISSED = 0.01  # standard deviations below which residuals are negligible
+_FELL = 0.5  # share of the residuals that may remain if anything was corrected
 #: Findings that contradict the model or its noise.
 CONTRADICTING = {code for code, wording in WORDINGS.items() if wording.title} - {"few-poses"}
 
@@ -66,28 +66,28 @@ class CalibrationResult:
     calibration: Calibration
     legs: tuple[ResidualGroup, ...]
     external: tuple[IdentifiedParameter, ...]
-    """Where the base is in the frame of the measurements (``tracker.x`` …, a rotation vector),
-    and where the targets sit on the platform (``target.x`` …)."""
+    """The base in the frame of the measurements (``tracker.x`` …, a rotation vector), and the
+    targets on the platform (``target.x`` …)."""
     covariance: Array
-    """Covariance of the legs' parameters, legs in order, shape (n, n); of what the measurements
-    determine, where directions were held."""
+    """Covariance of the legs' parameters, legs in order, shape (n, n); only of the determined
+    directions, where others were held."""
     noise: Noise | None
-    """Standard deviations given or estimated for all rows; None if rows have their own."""
+    """Standard deviations, given or estimated, of all rows; None if rows have their own."""
     noise_source: str
     """``"given"``, ``"rows"``, ``"repeats"`` of rows, or ``"estimated"`` from the residuals."""
     degrees_of_freedom: int
     reduced_chi2: float
     """χ² over degrees of freedom, near 1 if the noise is as given or was estimated."""
     chi2_p_value: float
-    """Probability of such a χ², or a larger one; by F where repeated rows show the noise."""
+    """Probability of such a χ² or a larger one; by F where repeated rows show the noise."""
     chi2_freedoms: float
-    """Degrees of freedom of that test; fewer than of χ² where legs alone share the poses' noise."""
+    """Degrees of freedom of that test; fewer than of χ² where legs alone share noise of poses."""
     noise_freedoms: float | None
     """Fewest degrees of freedom of the noise in a standard error; None if the noise is known."""
     evaluations: int
     """Evaluations of the conditions."""
     left: float
-    """How far the optimum is where the search ended, to first order, in standard errors."""
+    """Distance from the optimum where the search ended, to first order, in standard errors."""
     converged: bool
     systematic: Array | None
     """Part of the covariance that is off by the same in all rows (type B), shape (n, n)."""
@@ -107,13 +107,13 @@ class CalibrationResult:
     observed: tuple[ResidualGroup, ...]
     """How the measured quantities of the platform fit, where poses were unknowns."""
     outside: External | None
-    """Frame and targets behind ``external``, if they were unknown."""
+    """Values of frame, targets and instruments behind ``external``, if they were unknown."""
     estimated_poses: Array | None
-    """The poses of all rows in the base frame, shape (N, dof), where they were unknowns."""
+    """Poses of all rows in the base frame, shape (N, dof), where they were unknowns."""
     findings: tuple[Finding, ...] = ()
-    """What to know first: warnings and remarks, as data."""
+    """Warnings and remarks as data."""
     validation: Validation | None = None
-    """Errors at held-out rows, if that was asked for."""
+    """Errors at held-out rows, if these were asked for."""
 
     @property
     def nominal(self) -> Mechanism:
@@ -127,7 +127,7 @@ class CalibrationResult:
 
     @property
     def measured_frames(self) -> tuple[Array, Array]:
-        """``T_frame_base`` of the measurements' frame, ``T_platform_tool`` of what was measured."""
+        """``T_frame_base`` of the measurements, and ``T_platform_tool`` of the measured point."""
         frame, tool = np.eye(4), np.eye(4)
         tool[:3, 3] = self.options.setup.targets[ORIGIN].offset
         if self.outside is not None:
@@ -136,30 +136,30 @@ class CalibrationResult:
         return frame, tool
 
     def in_base(self, poses: Poses) -> Array:
-        """Return poses of the platform in the base frame, coordinates of shape (N, dof).
+        """Return poses of the platform in the base frame, shape (N, dof).
 
-        They are given as measured, of the measured point in its frame; or as transforms.
+        ``poses`` are coordinates or transforms of the measured point in the measurements' frame.
         """
         (frame, tool), platform = self.measured_frames, self.nominal.platform
         measured = platform.matrices(poses).copy()
-        if not platform.turns:  # it has one orientation, whatever was said of it
+        if not platform.turns:  # its orientation is fixed
             measured[:, :3, :3] = (frame @ tool)[:3, :3]
         return platform.from_matrices(np.linalg.inv(frame) @ measured @ np.linalg.inv(tool))
 
     @property
     def begun(self) -> Mechanism:
-        """The mechanism at which the search began: nominal but for zeros of motors, if found."""
+        """The mechanism where the search began: nominal, except zeros of motors that were found."""
         start = self.calibration.start
         return self.nominal if start is None else self.calibration.identified(start)
 
     @property
     def measurements(self) -> Measurements:
-        """What was measured."""
+        """The measurements."""
         return self.calibration.measurements
 
     @property
     def options(self) -> Options:
-        """How it was calibrated."""
+        """The options of the calibration."""
         return self.calibration.options
 
     @property
@@ -169,13 +169,13 @@ class CalibrationResult:
 
     @property
     def loss(self) -> str:
-        """Name of the robust loss, ``"none"`` without."""
+        """Name of the robust loss, ``"none"`` for least squares."""
         loss = self.options.loss
         return loss if isinstance(loss, str) else loss.name
 
     @cached_property
     def parameters(self) -> Parameters:
-        """All identified parameters: of the legs in order, then those outside the mechanism."""
+        """All identified parameters, of the legs in order, then outside the mechanism."""
         return Parameters([*(p for leg in self.legs for p in leg.parameters), *self.external])
 
     def __getitem__(self, key: str) -> IdentifiedParameter:
@@ -185,7 +185,7 @@ class CalibrationResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to know first, in sentences."""
+        """The findings as sentences."""
         return tuple(sentences(self.findings, "warning", "error"))
 
     @property
@@ -206,29 +206,29 @@ class CalibrationResult:
 
     @property
     def parameter_covariance(self) -> Array:
-        """Covariance of the parameters, NaN of those that are not determined, shape (n, n)."""
+        """Covariance of the parameters, NaN where they are not determined, shape (n, n)."""
         known = np.isfinite(np.concatenate([leg.std for leg in self.legs]))
         return np.where(np.outer(known, known), self.covariance, np.nan)
 
     @property
     def excess(self) -> float:
-        """How many times larger residuals, and so standard errors, are than by the noise given.
+        """Factor by which residuals, and so standard errors, are larger than by the given noise.
 
-        1 if that noise explains them, or was estimated from them.
+        It is 1 if the noise explains them, or was estimated from them.
         """
         return excess_of(self.reduced_chi2, self.chi2_p_value)
 
     @property
     def explained(self) -> bool:
-        """Whether residuals fell, and so near to the noise that uncertainties mean anything."""
+        """Whether residuals are near enough to the noise for uncertainties to have a meaning."""
         return self.excess <= _PROMISED and self.corrects
 
     @property
     def contradictions(self) -> tuple[Finding, ...]:
-        """What contradicts the model or its noise, so that no limit is promised.
+        """Findings that contradict the model or its noise, so that no limit is promised.
 
-        Or leaves it unproved: fewer equations than unknowns, or terms that these measurements
-        chose, for which only held-out rows can vouch.
+        Some leave it unproved: fewer equations than unknowns, or terms that were chosen by these
+        measurements, which only held-out rows can confirm.
         """
         held = self.undetermined_directions
         codes = set(CONTRADICTING)
@@ -240,12 +240,12 @@ class CalibrationResult:
 
     @property
     def promises(self) -> bool:
-        """Whether uncertainties are a promise: nothing contradicts the model or its noise."""
+        """Whether limits are promised, since nothing contradicts the model or its noise."""
         return self.explained and not self.contradictions
 
     @property
     def corrects(self) -> bool:
-        """Whether residuals fell by half at least, in standard deviations, or are noise."""
+        """Whether residuals fell by at least half, in standard deviations, or are noise."""
         before, after = _whitened(self.legs)
         if np.abs(before).max(initial=0.0) <= _MISSED:  # poses made from readings: they close
             before, after = _whitened([*self.legs, *self.observed])
@@ -257,23 +257,23 @@ class CalibrationResult:
 
     @property
     def moves_frames(self) -> bool:
-        """Whether the base or the platform frame lies where ``gauge`` puts it, or is unknown."""
+        """Whether the base or platform frame is unknown, or was placed by ``gauge``."""
         gauge = any(freedom.code.startswith("gauge-") for freedom in self.gauge)
         return gauge or len(self.calibration.observation.external) > 0
 
     def expected_error(self, poses: Plan | Array | None = None) -> PlatformError:
-        """Return the platform error to expect of the calibrated mechanism.
+        """Return the expected platform error of the calibrated mechanism.
 
-        Where frames were fixed by choice, less what a motion of these explains. Infinite where what
-        was held moves the platform by more than where all that is seen of it was measured. While
-        something contradicts the model, no limit is promised, and errors are by ``misses``.
+        Motions of frames that were fixed by choice do not count as errors. The error is infinite
+        where held directions move the platform more than at the measured poses. While something
+        contradicts the model, no limit is promised, and errors are by ``misses``.
 
         Args:
-            poses: Poses over which to take the mean, coordinates of shape (N, dof), or a plan;
-                the measured configurations if not given.
+            poses: Poses over which to take the mean, coordinates of shape (N, dof), or a plan; by
+                default the measured configurations.
 
         Raises:
-            MechanismError: poses of a wrong shape, or not finite.
+            MechanismError: poses have a wrong shape, or are not finite.
         """
         return expected_error(self, poses)
 
@@ -285,20 +285,20 @@ class CalibrationResult:
 
     @attached
     def validated(self, folds: int = FOLDS, by: By = "region") -> CalibrationResult:
-        """Return the result with its errors at held-out rows, and what these contradict.
+        """Return the result with its errors at held-out rows, and findings on them.
 
-        Rows whose ``set`` is ``verify`` are those, if there are any. Else each fold is left out in
-        turn; rows of each ``set`` alike, those of one ``pose`` together. Rows that a robust loss
-        finds outlying are left out.
+        Rows whose ``set`` is ``verify`` are held out, if there are any. Otherwise each fold is left
+        out in turn, with rows of every ``set``, and all rows of a ``pose`` together. Outliers of a
+        robust loss are not counted.
 
         Args:
             folds: How many times a share of the rows is held out.
-            by: ``"region"``: neighbours in the space of readings, so that no error of the model
-                hides in rows nearby; ``"turn"``: rows in turn; ``"run"``: runs of the experiment.
+            by: ``"region"``: neighbours in the space of readings, so that no error of the model is
+                hidden by rows nearby; ``"turn"``: rows in turn; ``"run"``: runs of the experiment.
 
         Raises:
-            MeasurementError: too few rows or folds; a fold that does not converge.
-            ObservabilityError: what is left does not determine the parameters.
+            MeasurementError: there are too few rows or folds, or a fold does not converge.
+            ObservabilityError: the remaining rows do not determine the parameters.
         """
 
     def to_dataframe(self) -> Any:
@@ -311,13 +311,13 @@ class CalibrationResult:
 
     @attached
     def report(self, **origin: Any) -> Report:
-        """Return the report as a page: ``html()``, ``save(path)``, or shown by a notebook.
+        """Return the report as a page, with ``html()`` and ``save(path)``; notebooks show it.
 
-        Origin is ``command``, ``files`` and ``date``, which the page names; ``units`` of its
-        numbers, ``"in,deg"``; ``workspace``: poses, or their file, over which errors are.
+        Options are ``command``, ``files`` and ``date``, which the page names; ``units`` of its
+        numbers, such as ``"in,deg"``; and ``workspace``, poses or their file for mean errors.
 
         Raises:
-            PincalError: a file that cannot be read, or a unit that is not understood.
+            PincalError: a file cannot be read, or a unit is not understood.
         """
 
     @property
@@ -327,7 +327,7 @@ class CalibrationResult:
 
     @attached
     def tables(self) -> list[Table]:
-        """Return all tables: parameters, what is outside the mechanism, residuals, outliers."""
+        """Return all tables: parameters, frames and targets, residuals, outliers."""
 
     @attached
     def _repr_html_(self) -> str:
@@ -341,27 +341,27 @@ class CalibrationResult:
         )
 
     def __str__(self) -> str:
-        """Return what ``pincal calibrate`` prints: verdict, errors, warnings, what next."""
+        """Return what ``pincal calibrate`` prints: verdict, errors, warnings, next command."""
         return str(self.report())
 
     @attached
     def save(
         self, folder: str | Path, *, force: bool = False, report: Report | None = None
     ) -> Path:
-        """Write the result to a folder, whole or not at all: ``load_result`` gives it back.
+        """Write the result to a folder, completely or not at all; ``load_result`` reads it.
 
         Args:
-            folder: Where to.
-            force: Whether to replace a result that is there.
-            report: Page to write beside it as ``report.html``, by ``result.report()``.
+            folder: The folder.
+            force: Whether to replace an existing result.
+            report: Page of ``result.report()`` to write there as ``report.html``.
 
         Raises:
-            FileError: the folder exists and ``force`` is not set, or cannot be written.
+            FileError: the folder exists and ``force`` is not set, or it cannot be written.
         """
 
 
 def _whitened(groups: Sequence[ResidualGroup]) -> tuple[Array, Array]:
-    """Return residuals before and after in standard deviations, of all that carries noise."""
+    """Return residuals before and after in standard deviations, of quantities with noise."""
     before = np.concatenate([group.residuals_before for group in groups])
     after = np.concatenate([group.residuals for group in groups])
     sigma = np.concatenate([group.sigma for group in groups])

@@ -13,7 +13,7 @@ from pincal.words.numbers import SMALL, measured, shown_in
 
 HELD = "held nearest to nominal"
 CONTROLLED = 1e-3
-"""Redundancy up to which a residual is what the fit made of it, whatever the noise."""
+"""Redundancy number up to which a residual says nothing about the noise."""
 
 
 def _rms(values: Array) -> float:
@@ -22,23 +22,23 @@ def _rms(values: Array) -> float:
 
 @dataclass(frozen=True)
 class IdentifiedParameter(Parameter):
-    """One parameter: nominal and identified value, and how sure the latter is."""
+    """A parameter: nominal and identified value, with standard error and interval."""
 
     identified: float
     """Identified value, SI."""
     std: float
-    """Standard error; infinite where the measurements do not determine the value."""
+    """Standard error; infinite if the measurements do not determine the value."""
     low: float
-    """Lower end of the 95 % confidence interval; infinite if it has none."""
+    """Lower end of the 95 % confidence interval; infinite without one."""
     high: float
-    """Upper end of the 95 % confidence interval; infinite if it has none."""
+    """Upper end of the 95 % confidence interval; infinite without one."""
     given: str = ""
-    """What was given of it: ``"fixed"``, ``"tied"``, ``"prior"``, or several; or that it is
-    ``"held nearest to nominal"``, since the measurements do not determine it."""
+    """``"fixed"``, ``"tied"``, ``"prior"`` or several of them as given; or ``"held nearest to
+    nominal"`` if the measurements do not determine the value."""
 
     @property
     def change(self) -> float:
-        """Identified less nominal value."""
+        """Identified minus nominal value."""
         return self.identified - self.nominal
 
     @property
@@ -48,11 +48,11 @@ class IdentifiedParameter(Parameter):
 
     @property
     def text(self) -> str:
-        """Identified value ± half its 95 % interval, in the unit in which people read it."""
+        """Identified value ± half its 95 % interval, in a readable unit."""
         return measured(self.identified, self.half, self.unit)
 
     def __str__(self) -> str:
-        """Return what is known of it, in a line: ``leg_1.l: 1501.4 ± 0.8 mm (95 %), …``."""
+        """Return a line such as ``leg_1.l: 1501.4 ± 0.8 mm (95 %), …``."""
         known = self.high > self.low and np.isfinite(self.std)
         sure = " (95 %)" if known else f", {self.given or 'held'}"
         nominal = measured(self.nominal, 0.0, self.unit)
@@ -63,31 +63,32 @@ class IdentifiedParameter(Parameter):
 class ResidualGroup:
     """Residuals of one leg, with its parameters, or of one measured quantity of the platform.
 
-    Of a leg they are closures at measured poses; at estimated ones, predicted less measured.
+    Residuals of a leg are closures at measured poses, or predicted minus measured readings at
+    estimated poses.
     """
 
     name: str
-    """Of the leg, or of the quantity."""
+    """Name of the leg or quantity."""
     quantity: str
-    """What residuals are of: ``"closure"`` or ``"reading"`` of a leg, or the measured quantity."""
+    """``"closure"`` or ``"reading"`` for a leg, else the measured quantity."""
     unit: str
-    """Of the residuals: m of closures, that of what was measured otherwise."""
+    """Unit of the residuals: m for closures, else that of the measured quantity."""
     rows: Index
-    """Rows of the measurements used, shape (n,)."""
+    """Indices of the measured rows that were used, shape (n,)."""
     sigma: Array
     """Standard deviations of the noise, shape (n,)."""
     residuals_before: Array
     """Residuals where the search started, shape (n,)."""
     residuals: Array
-    """Residuals with identified parameters, predicted less measured, shape (n,)."""
+    """Residuals with identified parameters, predicted minus measured, shape (n,)."""
     redundancy: Array
-    """Variance of each residual over that of its noise, 1 − h of its leverage h, shape (n,)."""
+    """Redundancy numbers 1 − h with leverages h: variances over those of the noise, shape (n,)."""
     parameters: tuple[IdentifiedParameter, ...] = ()
-    """Of the leg."""
+    """Parameters of the leg."""
     rank: int = 0
-    """Of the leg's whitened identification Jacobian."""
+    """Rank of the leg's whitened identification Jacobian."""
     condition: float = np.nan
-    """Of the same, columns scaled to unit length."""
+    """Condition number of that Jacobian with columns of unit length."""
 
     def __repr__(self) -> str:
         before, after = (shown_in(rms, self.unit) for rms in (self.rms_before, self.rms_after))
@@ -129,26 +130,26 @@ class ResidualGroup:
 
     @property
     def standardised(self) -> Array:
-        """Residuals over their standard deviations σ√(1−h), NaN where nothing checks one."""
+        """Residuals over their standard deviations σ√(1−h), NaN where nothing checks them."""
         spread = self.sigma * np.sqrt(self.redundancy)
         checked = (self.redundancy > CONTROLLED) & (self.sigma > 0.0)
         return np.where(checked, self.residuals, np.nan) / np.where(checked, spread, 1.0)
 
 
 KINDS = ("verification", "held-out")
-"""What rows are called that are held out: those that the user reserves, and those of folds."""
+"""Kinds of held-out rows: reserved by the user, and left out by folds."""
 
 
 @dataclass(frozen=True)
 class Missed:
-    """How far one target is missed, its position or its orientation."""
+    """Errors of the predicted position, or orientation, of a target."""
 
     target: str
-    """``"platform"``, or the name of a further target, or of a contact, of the setup."""
+    """``"platform"``, or the name of a further target or of a contact in the setup."""
     unit: str
-    """``"m"`` of its position, ``"rad"`` of the measured orientation."""
+    """``"m"`` for a position, ``"rad"`` for the measured orientation."""
     poses: int
-    """Poses that were held out; rows of one pose count as one cluster."""
+    """Number of held-out poses; rows of one pose count as one cluster."""
     fit: float
     """Root mean square at rows of the fit, [m] or [rad]."""
     mean: float
@@ -156,11 +157,11 @@ class Missed:
     rms: float
     """Root mean square at held-out rows."""
     largest: float
-    """The largest; no bootstrap says how much larger another would be."""
+    """Largest error at held-out rows."""
     rms_ends: tuple[float, float]
-    """Ends of the root mean square's 95 % interval, by a bootstrap of poses; infinite of one."""
+    """95 % interval of the root mean square by a bootstrap of poses; infinite for a single pose."""
     limit: float = np.inf
-    """Below which the root mean square is at 95 %, if noise and model are right."""
+    """95 % limit of the root mean square if noise and model are right."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -169,40 +170,40 @@ class Validation:
 
     folds: int
     rows: int
-    """Rows that were held out, each once."""
+    """Number of rows that were held out."""
     fit: float
     """Root mean square residual of the fit in standard deviations of the noise."""
     held_out: float
     """The same at held-out rows."""
     expected: float
-    """Of held-out rows, by the fit's own residuals and what the fits did not know."""
+    """Expected value at held-out rows, by the fit's residuals and the parameters' uncertainty."""
     p_value: float
-    """Probability of such a growth, or a larger one, if the model is right."""
+    """Probability of such an excess or a larger one if the model is right."""
     findings: tuple[Finding, ...]
-    """That held-out rows miss by more than is expected, if they do."""
+    """A finding that held-out rows are worse than expected, if they are."""
     sigma: Array
-    """Standard deviations of a normal number as unlikely as each held-out row, (N,); else NaN."""
+    """Size of a normal residual as unlikely as each held-out row, (N,); NaN for other rows."""
     targets: tuple[Missed, ...]
-    """How far each measured target is missed at held-out rows."""
+    """Errors of each measured target at held-out rows."""
 
     @property
     def kind(self) -> str:
-        """``"held-out"`` of rows that folds leave out, ``"verification"`` of those reserved."""
+        """``"held-out"`` for rows left out by folds, ``"verification"`` for reserved rows."""
         return KINDS[self.folds > 1]
 
     @property
     def position(self) -> tuple[float, float] | None:
-        """Root mean square by which positions of targets are missed, [m], in fit and held out."""
+        """Root mean square position errors of targets, [m], in the fit and held out."""
         return self.missed.get("m")
 
     @property
     def orientation(self) -> tuple[float, float] | None:
-        """The same of the measured orientation, [rad]."""
+        """Root mean square orientation errors, [rad], in the fit and held out."""
         return self.missed.get("rad")
 
     @property
     def missed(self) -> dict[str, tuple[float, float]]:
-        """Both by their units: those of what was measured."""
+        """Both pairs by unit, for what was measured."""
         missed = {}
         for unit in dict.fromkeys(part.unit for part in self.targets):
             squares = [(part.fit**2, part.rms**2) for part in self.targets if part.unit == unit]
