@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_817,
+    "calibration": 6_822,
     "cli": 2_803,
     "design": 2_343,
-    "estimation": 4_753,
+    "estimation": 4_764,
     "files": 3_383,
     "formats": 3_515,
     "instruments": 1_579,

@@ -179,7 +179,7 @@ def _misses(fits: Fits) -> tuple[float, float]:
 
 
 def systematic(fits: Fits) -> Array:
-    """Return how parameters, then frames, follow one standard uncertainty of all rows, (n, q)."""
+    """Return changes of all unknowns, (n, q), by one standard uncertainty of each common error."""
     calibration = fits.calibration
     observation, n = calibration.observation, len(calibration.mechanism.parameters)
     if calibration.options.setup.systematic == Systematic():
