@@ -16,18 +16,18 @@ LINES = {
     "": 268,
     "architectures": 625,
     "calibration": 6_822,
-    "cli": 2_803,
-    "design": 2_343,
+    "cli": 2_804,
+    "design": 2_339,
     "estimation": 4_764,
     "files": 3_383,
     "formats": 3_515,
     "instruments": 1_579,
-    "kinematics": 3_339,
+    "kinematics": 3_386,
     "model": 3_611,
     "show": 4_228,
     "symmetry": 1_374,
     "words": 951,
-    "workspace": 1_493,
+    "workspace": 1_496,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {

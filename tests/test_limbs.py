@@ -181,6 +181,41 @@ def test_a_loop_within_a_leg(name: str, tmp_path: Path) -> None:
     assert recovered(mechanism, solved.readings[near], 1e-4) < 1e-8
 
 
+def test_readings_say_how_a_loop_is_bent() -> None:
+    """What is planned for a boom and a stick on cylinders, the machine as drawn reaches."""
+    mechanism = hybrid()
+    plan = pincal.sample_configurations(mechanism, 200)
+    simulation = pincal.simulate(mechanism, mechanism, plan, pincal.Noise(0.0, 0.0, 0.0))
+    assert not simulation.unreachable
+    np.testing.assert_allclose(simulation.measurements.poses, plan.poses, atol=1e-9)
+
+
+@pytest.mark.parametrize("drives", ["more", "fewer"])
+def test_drives_need_not_be_as_many_as_freedoms(drives: str) -> None:
+    """Plans and data are of loops that close, every parameter comes back; too few have no pose."""
+    if drives == "more":
+        crank, follower = four_bar().legs
+        follower = replace(follower, sensors=(pincal.Sensor("foot"),))
+        mechanism = replace(four_bar(), legs=(crank, follower))
+    else:
+        (leg,) = hybrid().legs
+        values = tuple(pair for pair in leg.parameters if pair[0] != "yaw")  # of the turret
+        free = replace(leg, sensors=leg.sensors[1:], parameters=values)
+        mechanism = replace(hybrid(), legs=(free,))
+    plan = pincal.sample_configurations(mechanism, 30)
+    solution = pincal.forward(mechanism, plan.readings, plan.poses)
+    np.testing.assert_allclose(solution.poses, plan.poses, atol=1e-4)
+    assert solution.gap.max() < 1e-9
+    assert pincal.forward(mechanism, plan.readings).converged.all() == (drives == "more")
+    true = pincal.disturb(mechanism, 1e-3, seed=1)
+    simulation = pincal.simulate(mechanism, true, plan, pincal.Noise(0.0, 0.0, 0.0))
+    assert len(simulation.rows) > 25
+    result = pincal.calibrate(mechanism, simulation.measurements, noise=EXACT, folds=0)
+    both = zip(result.parameters, true.parameters, strict=True)
+    missed = [p.identified - t.nominal for p, t in both]
+    np.testing.assert_allclose(missed, 0.0, atol=1e-8)
+
+
 @pytest.mark.slow
 def test_a_platform_that_only_turns() -> None:
     """An Agile eye's elbow and wrist axes are at right angles at every reading, and all return.

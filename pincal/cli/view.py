@@ -71,7 +71,8 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
     read: Callable[..., Plan] = read_measurements if measured else read_poses
     plan = read(table, mechanism, partial=True)
     if mechanism.by_readings and plan.readings is not None:  # they say where the mechanism is
-        solution = pincal.forward(mechanism, plan.readings)
+        held = mechanism.constraints >= mechanism.platform.dof
+        solution = pincal.forward(mechanism, plan.readings, None if held else plan.poses)
         if not solution.converged.any():
             raise MeasurementError(
                 f"{table}: {solution.reasons[0]} at {plan.place(0)}, and at all others"

@@ -23,7 +23,7 @@ from pincal.estimation.relations import at_touch
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
-from pincal.kinematics.configurations import as_plan, command, inverse, planned_influences
+from pincal.kinematics.configurations import as_plan, command, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import by_name, influences_of
 from pincal.model.checks import generator_of, number_of
@@ -127,16 +127,12 @@ def simulate(
         errors = sigma * rng.standard_normal((count, 3))
         plan, mechanism = touching(truth, as_plan(truth, plan), led, errors), truth
     if mechanism.redundant:
-        poses, solution = plan.poses, inverse(truth, plan.poses, planned_influences(truth, plan))
-        readings = solution.readings
-        causes = map(solution.reason, range(count))
+        poses, readings, causes = command(truth, plan)
         reasons = [cause and f"true mechanism: {cause}" for cause in causes]
     else:
         _, readings, poses, reasons = _driven(mechanism, truth, plan)
     rows = np.flatnonzero([not reason for reason in reasons])
-    measured = replace(plan.rows(rows), poses=poses[rows])
-    if not mechanism.redundant:
-        measured = replace(measured, readings=readings[rows])
+    measured = replace(plan.rows(rows), poses=poses[rows], readings=readings[rows])
     influences = by_name(truth, planned_influences(truth, measured))
     # One draw for each planned pose, so that a lost pose does not shift the others' noise.
     pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))

@@ -15,11 +15,13 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import block_diagonal, turn_of_points
-from pincal.kinematics.closure import LegClosure, joint_range
+from pincal.kinematics.closing import sensor_law, started
+from pincal.kinematics.closure import LegClosure, joint_range, nominal_legs
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
+from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
-from pincal.types import Array
+from pincal.types import Array, Mask
 
 _STEPS, _LARGEST = 100, 0.3  # of Newton's method: how many, and how far at once
 _STARTS, _WIDEST = 32, 1.5  # further ones, and how far about what is drawn, [rad] or of the size
@@ -70,6 +72,27 @@ def assembled(
     placed = (leg.with_home(q[0]) for leg, q in zip(legs, parts, strict=True))
     settled = tuple(replace(leg, settled=False) for leg in placed)
     return settled, replace(platform, home=tuple(pose.tolist()))
+
+
+def closed_near(
+    mechanism: Mechanism, poses: Array, readings: Array, influences: Array
+) -> tuple[Array, Array, Mask]:
+    """Return poses and readings near given ones at which all legs close, and which rows do.
+
+    For drives that are more than the freedoms, whose readings would contradict each other, and for
+    fewer, which leave freedoms open. Shapes (N, dof), (N, n_readings) and (N, n_influences);
+    nothing deforms.
+    """
+    legs, matrices = nominal_legs(mechanism), mechanism.platform.matrices(poses)
+    known = [mechanism.known(place, readings, influences) for place in range(len(legs))]
+    drawn = [started((leg,), matrices, rows) for leg, rows in zip(legs, known, strict=True)]
+    matrices, joints, gaps = _closed(legs, matrices, np.hstack(drawn), _SINGULAR)
+    read = [
+        sensor_law(leg).reading(q[:, leg.leg.active], rows[:, len(leg.leg.sensors) :])
+        for leg, q, rows in zip(legs, _parts(legs, joints), known, strict=True)
+    ]
+    closes: Mask = gaps <= _CLOSED * mechanism.size
+    return mechanism.platform.from_matrices(matrices), np.hstack(read), closes
 
 
 def _parts(closures: Sequence[LegClosure], joints: Array) -> list[Array]:

@@ -58,18 +58,26 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
     return joints[index[:, 0]], distance[:, 0] <= reach
 
 
-def _followed(closure: LegClosure, matrices: Array) -> Array:
-    """Return joint positions that follow poses (N, 4, 4) on straight ways from home."""
+def _followed(closure: LegClosure, matrices: Array, active: Array | None = None) -> Array:
+    """Return joint positions that follow poses (N, 4, 4) on straight ways from home.
+
+    So do active joints, (N, n_active), if given, and passive ones close the leg; else all do.
+    """
     leg, platform, count = closure.leg, closure.platform, len(matrices)
     homes, joints = np.tile(platform.home, (count, 1)), np.tile(leg.home, (count, 1))
-    start = platform.matrices(homes)
+    poses, free = platform.matrices(homes), leg.passive
     twists = platform.twists_between(homes, platform.from_matrices(matrices))
-    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
-        poses = platform.displaced(start, share * twists)
-        step = _newton_step(closure, closure.evaluate(closure.deformed(joints), poses))
-        step = np.nan_to_num(step[:, : len(leg.moving)] / leg.scales, posinf=0.0, neginf=0.0)
+    if active is None:
+        active, free = joints[:, leg.active], list(range(len(leg.moving)))
+    ways = active - leg.home[leg.active]
+    for share in np.repeat((1.0, 0.0), _WAY) / _WAY:  # then joints settle
+        poses = platform.displaced(poses, share * twists)
+        joints[:, leg.active] += share * ways
+        closed = closure.evaluate(closure.deformed(joints), poses)
+        step = -least_squares(closed.by_joints[:, :, free], closed.gap[:, :, None])[:, :, 0]
+        step = np.nan_to_num(step / leg.scales[free], posinf=0.0, neginf=0.0)
         longest = np.abs(step).max(axis=1, keepdims=True)
-        joints = joints + step * leg.scales * _ABOUT / np.maximum(longest, _ABOUT)
+        joints[:, free] += step * leg.scales[free] * _ABOUT / np.maximum(longest, _ABOUT)
     return joints
 
 
@@ -270,7 +278,9 @@ def started(
     Those are near such that close the legs at poses (L N, 4, 4), or given, (L N, n_joints …); then
     deformations. Known are readings, then influences, shape (L N, n_active [+ n_influences]).
     """
-    if near is None and legs[0].leg.passive:
+    if near is None and legs[0].leg.ends:  # readings tell its loops' branches, poses do not
+        near = _followed(legs[0], matrices, sensor_law(legs[0]).position(known))
+    elif near is None and legs[0].leg.passive:
         near = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
         if not closed_form(legs[0]):  # a start may lie beyond a singularity, in another mode
             closed = close(legs, matrices, near=near)

@@ -16,6 +16,7 @@ import numpy as np
 from pincal.blas import one_thread
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.assembly import closed_near
 from pincal.kinematics.batches import block_diagonal, chunks, least_squares
 from pincal.kinematics.closing import by_leg, close_legs, sensor_law
 from pincal.kinematics.closure import nominal_legs
@@ -240,15 +241,21 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:
     """Return poses (N, dof) and readings (N, n_readings) that a mechanism commands, or reasons.
 
-    Readings of a plan are commanded; NaN where there is a reason, which is else empty.
+    Readings of a plan are commanded; NaN where there is a reason, which is else empty. With drives
+    more or fewer than the freedoms the nearest configurations are commanded in which legs close.
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is not None:
         known, home = np.isfinite(plan.readings), reading_range(mechanism)[2]
-        readings = np.where(known, plan.readings, home)
-        solution = forward(mechanism, readings, plan.poses, influences_of(mechanism, plan))
-        reasons = np.where(known.all(axis=1), solution.reasons, _NOWHERE)
-        return solution.poses, plan.readings, reasons.tolist()
+        readings, influences = np.where(known, plan.readings, home), influences_of(mechanism, plan)
+        deforms = any(leg.deformed for leg in mechanism.legs)
+        if mechanism.constraints == mechanism.platform.dof or deforms:
+            solution = forward(mechanism, readings, plan.poses, influences)
+            poses, readings, reasons = solution.poses, plan.readings, np.array(solution.reasons)
+        else:
+            poses, readings, closes = closed_near(mechanism, plan.poses, readings, influences)
+            reasons = np.where(closes, "", "not near positions in which all legs close")
+        return poses, readings, np.where(known.all(axis=1), reasons, _NOWHERE).tolist()
     solved = inverse(mechanism, plan.poses, planned_influences(mechanism, plan))
     return plan.poses, solved.readings, [solved.reason(row) for row in range(len(plan.poses))]
 

@@ -130,6 +130,7 @@ def forward(
     Without a guess they are searched from home, then on the way from home; rows that are not found
     have no pose, and a reason. More legs than freedoms have no pose in common if readings are not
     exact: it is then that of the least sum of squared gaps, and ``gap`` is how far they contradict.
+    Drives that leave freedoms open have the pose nearest to the guess, and none without one.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
@@ -160,6 +161,11 @@ def forward(
     if len(start) != len(readings):
         raise MechanismError(f"{len(readings)} readings, but {len(start)} guesses")
     columns = influence_columns(mechanism, influences, len(readings))
+    if guess is None and (idle := platform.dof - mechanism.constraints) > 0:
+        reason = f"the drives leave {idle} of the platform's {platform.dof} freedoms open"
+        shapes = [(len(start), n) for n in (platform.dof, len(mechanism.legs))]
+        nowhere, gap = (np.full(shape, np.nan) for shape in shapes)
+        return ForwardSolution(nowhere, np.zeros(len(start), bool), gap, (reason,) * len(start))
     solution = _forward(mechanism, readings, start, columns)
     if guess is None:
         solution = _on_the_way(mechanism, readings, columns, solution)

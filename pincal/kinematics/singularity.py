@@ -137,7 +137,8 @@ def _volume(mechanism: Mechanism, lines: Array) -> Array:
     with np.errstate(invalid="ignore"):  # a leg whose passive joints are singular is NaN
         if lines.shape[1] == lines.shape[2]:
             return np.asarray(np.linalg.det(lines))
-        gram = lines.transpose(0, 2, 1) @ lines
+        across = lines.transpose(0, 2, 1)
+        gram = across @ lines if lines.shape[1] > lines.shape[2] else lines @ across
         return np.sqrt(np.clip(np.linalg.det(gram), 0.0, None))
 
 

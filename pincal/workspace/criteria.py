@@ -193,7 +193,7 @@ class Margins:
 def _check_stiff(mechanism: Mechanism) -> None:
     """Raise WorkspaceError if a platform is held nowhere, or not at home."""
     rows, dof = mechanism.constraints, mechanism.platform.dof
-    if rows < dof:
+    if rows < dof and not mechanism.by_readings:
         raise WorkspaceError(
             f"the legs of {mechanism.name!r} make {rows} equations, too few for the {dof} "
             "freedoms of its platform: they do not hold it anywhere. Add legs, read more of "

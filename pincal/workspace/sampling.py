@@ -23,8 +23,8 @@ from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.configurations import shifted
-from pincal.kinematics.forward import forward, reading_range
+from pincal.kinematics.configurations import command, shifted
+from pincal.kinematics.forward import reading_range
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import count_of, generator_of
 from pincal.model.measurements import Plan
@@ -106,23 +106,26 @@ def sample_configurations(
     if not mechanism.by_readings:
         return Plan(sample_workspace(mechanism, count, seed, least, progress))
     count_of(count, "the number of poses", WorkspaceError, 1, MOST)
-    rng, criteria = generator_of(seed, WorkspaceError), None
+    rng, criteria, platform = generator_of(seed, WorkspaceError), None, mechanism.platform
     if any(leg.passive for leg in mechanism.legs):
         criteria = criteria_of(mechanism, as_margins(least))
     low, high, home = reading_range(mechanism)
-    start = np.tile(mechanism.platform.home, (2 * count, 1))
+    start = near = np.tile(platform.home, (2 * count, 1))
+    reach = np.where([unit == "m" for unit in platform.units], mechanism.size, 1.0)
     poses, readings, total, halved = [], [], 0, 0
     while halved < _HALVINGS:
         drawn = rng.uniform(low, high, (len(start), len(low)))
-        solution = forward(mechanism, drawn, start)
-        rows = np.flatnonzero(solution.converged)
+        if mechanism.constraints < platform.dof:  # readings do not say where it is
+            near = platform.moved(start, 0.5**halved * rng.uniform(-reach, reach, start.shape))
+        reached, driven, reasons = command(mechanism, Plan(near, readings=drawn))
+        rows = np.flatnonzero([not reason for reason in reasons])
         if criteria:
-            rows = rows[criteria.at_readings(solution.poses[rows], drawn[rows])]
+            rows = rows[criteria.at_readings(reached[rows], driven[rows])]
         if len(rows) < _RARE * len(drawn):  # joints without limits turn round: nearer
             low, high = 0.5 * (low + home), 0.5 * (high + home)
             halved += 1
-        poses.append(solution.poses[rows])
-        readings.append(drawn[rows])
+        poses.append(reached[rows])
+        readings.append(driven[rows])
         total += len(rows)
         if progress:
             progress(min(total, count))
@@ -131,8 +134,8 @@ def sample_configurations(
     if criteria and not in_workspace(mechanism, start[:1], as_margins(least))[0]:
         raise WorkspaceError(_why_not_home(mechanism, as_margins(least)))
     reason = "legs do not close within their joints' limits, or too near to singularities"
-    if not solution.converged.any():
-        reason = Counter(solution.reasons).most_common(1)[0][0]
+    if all(reasons):
+        reason = Counter(reasons).most_common(1)[0][0]
     raise WorkspaceError(
         f"only {total} of {count} configurations of {mechanism.name!r} found between the limits of "
         f"the active joints and near home, where {reason}. Look at home and limits: 'pincal check'"
