@@ -1,7 +1,7 @@
 """A machine over months: which parameters changed between its calibrations, and how it drifts.
 
-Differences of two calibrations are judged by their joint covariance, so that parameters which are
-certain together count although each alone is not.
+Differences of two calibrations are judged by their joint covariance, so that parameters count that
+are well determined together although each alone is not.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from pincal.model.parameter import Parameter
 from pincal.types import Array
 
 _ALARM = 1e-3  # probability of a difference at which a machine has changed
-_NAMED = 5  # parameters that are named to have changed
+_NAMED = 5  # largest number of changed parameters that are named
 _EQUIVALENT = 6.6  # χ² within which another parameter explains a change as well, at 99 %
-_DETERMINED = 1e-12  # of the largest variance, relative
+_DETERMINED = 1e-12  # least variance relative to the largest
 _DATE = re.compile(r"(\d{4})-?(\d\d)(?:-?(\d\d))?")
 
 
 class Change(NamedTuple):
-    """A parameter, later less earlier, SI, and ids of those that would explain as much."""
+    """The change of a parameter, later minus earlier, SI, and ids that would explain as much."""
 
     parameter: Parameter
     value: float
@@ -54,7 +54,7 @@ class History:
 
     @cached_property
     def changes(self) -> list[list[Change]]:
-        """What changed from each calibration to the next."""
+        """Changed parameters from each calibration to the next."""
         return [changes(*pair) for pair in zip(self.results, self.results[1:], strict=False)]
 
     @property
@@ -64,10 +64,10 @@ class History:
 
     @cached_property
     def drift(self) -> tuple[float, float] | None:
-        """How fast the platform drifts at measured poses, RMS, and two standard errors, a day.
+        """Root mean square drift of the platform at measured poses, and two standard errors, a day.
 
-        In m, or rad of a platform that only turns; None of fewer than three dates. The straight
-        line through the parameters, their covariances, and what they scatter beyond these.
+        It is in m, or in rad if the platform only turns; None for fewer than three dates. It is by
+        the straight line through the parameters, their covariances, and their further scatter.
         """
         days = np.array([day.toordinal() for day in self.dates], dtype=float)
         if len(set(self.dates)) < 3:
@@ -85,10 +85,10 @@ class History:
         return float(np.linalg.norm(G @ slope)), 2.0 * float(np.sqrt(variance))
 
     def due(self, accuracy: float) -> date | None:
-        """Return before when no check is needed to stay within an accuracy, [m] or [rad].
+        """Return the date of the next check to stay within an accuracy, [m] or [rad].
 
-        By the drift and two of its standard errors, beside the error of the last calibration; None
-        if there are too few calibrations.
+        It is by the drift plus two standard errors, and the error of the last calibration; None if
+        there are too few calibrations.
         """
         if not 0.0 < accuracy < np.inf:
             raise MeasurementError(f"--accuracy {accuracy:g}: a finite number above 0 is expected")
@@ -101,9 +101,9 @@ class History:
 
 
 def changes(before: CalibrationResult, after: CalibrationResult) -> list[Change]:
-    """Return which parameters changed between two calibrations, the surest first; none of noise.
+    """Return which parameters changed between two calibrations, the most certain first.
 
-    As few as leave a difference that is noise: each is the one that explains most of what is left.
+    Each explains most of the remaining difference, until what remains is noise.
     """
     mechanism = after.nominal
     difference = after.identified.parameters.values - before.identified.parameters.values
@@ -113,7 +113,7 @@ def changes(before: CalibrationResult, after: CalibrationResult) -> list[Change]
     white = (axes[:, known] / np.sqrt(values[known])).T / scales
     lost = [d for d in (after.gauge_directions, after.undetermined_directions) if d is not None]
     X, y = white, white @ difference
-    if lost:  # what a change looks like where such directions are chosen
+    if lost:  # the change where directions are fixed by choice
         X = white @ nearest_to_nominal(mechanism, np.hstack(lost))
     chosen, residual, alternatives = list[int](), y, list[tuple[str, ...]]()
     while chdtrc(len(y) - len(chosen), residual @ residual) < _ALARM and len(chosen) < _NAMED:
@@ -139,8 +139,8 @@ def history_of(paths: Sequence[Path]) -> History:
     """Return the history of results in folders, dated by their names, else by their files.
 
     Raises:
-        FileError: no result is in a folder.
-        MeasurementError: results of different machines, or that did not converge.
+        FileError: a folder has no result.
+        MeasurementError: results are of different machines, or did not converge.
     """
     folders = list[Path]()
     for path in paths:
@@ -168,7 +168,7 @@ def history_of(paths: Sequence[Path]) -> History:
 
 
 def _date_of(folder: Path) -> date:
-    """Return the date in a folder's name, or when its result was written; raise if it is none."""
+    """Return the date in a folder's name, or of its result file; raise if it is not a date."""
     matches = list(_DATE.finditer(folder.name))
     for match in matches:
         with suppress(ValueError):

@@ -1,8 +1,8 @@
 """Many machines, one table: how accurate machines of given tolerances are, once calibrated.
 
-A row follows from its item alone, such as a machine's number, and rows are added in the order of
-the items: the table is the same whoever makes them (joblib's processes, Dask's computers), in any
-number, and what it holds already is not made again.
+A row depends only on its item, such as a machine's number, and rows are added in the order of the
+items. So the table is the same for any number of workers (joblib's processes, Dask's computers),
+and rows that it already holds are not made again.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from pincal.types import Array
 from pincal.workspace.sampling import sample_configurations
 
 Item = tuple[Any, ...]
-_SHARES, _LARGEST = 64, 50  # shares of the work at least, rows of a share at most
-_ROUNDING = 1e-6  # relative difference of numbers that another processor may make
-_POSES = 200  # of the workspace, over which errors are
+_SHARES, _LARGEST = 64, 50  # least number of shares of the work, largest number of rows in one
+_ROUNDING = 1e-6  # relative difference of numbers on another processor
+_POSES = 200  # poses of the workspace over which errors are stated
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Who makes the rows: processes, or computers."""
+    """The workers that make the rows: processes, or computers."""
 
     workers: int | None = option(None, "Processes [default: as many as cores].", least=1)
     scheduler: str = option(
@@ -56,7 +56,7 @@ class Workers:
 
     @contextmanager
     def parallel(self) -> Iterator[Parallel]:
-        """Yield what does the work.
+        """Yield the parallel backend.
 
         Raises:
             PincalError: no scheduler or worker answers.
@@ -84,18 +84,17 @@ def add_rows(
     workers: Workers,
     progress: Progress = None,
 ) -> Columns:
-    """Return columns with a row of each item; rows that a table lacks are made, and added to it.
+    """Return columns with a row of each item; missing rows are made and added to the table.
 
     Args:
-        make_row: Returns the row of an item, wherever it is sent to; what it raises is the row's
-            failure.
-        items: What rows are of: the first columns of the table.
-        file: Where rows are, and are added in the order of the items.
-        workers: Who makes them.
-        progress: Called with what is done.
+        make_row: Returns the row of an item; an error that it raises is the row's failure.
+        items: The items, which are the first columns of the table.
+        file: The table, to which rows are added in the order of the items.
+        workers: The workers that make the rows.
+        progress: Called with a text that says what is done.
 
     Raises:
-        FileError: the table cannot be read or written, or holds rows that are made otherwise.
+        FileError: the table cannot be read or written, or its rows were made differently.
         PincalError: no scheduler or worker answers, or processes end before a row is made.
     """
     waiting, keys = _without_rows(make_row, items, file), file.columns[: len(items[0])]
@@ -110,7 +109,7 @@ def add_rows(
                     del waiting[: len(rows)]
                     if progress:
                         progress(f"{len(items) - len(waiting)} of {len(items)} machines")
-        except TerminatedWorkerError as error:  # its share is done again
+        except TerminatedWorkerError as error:  # its share is repeated
             if len(waiting) == before:
                 raise PincalError(
                     "processes were ended before they made a row, perhaps for want of memory: try "
@@ -122,18 +121,18 @@ def add_rows(
 
 
 def error_columns(mechanism: Mechanism, last: str) -> list[str]:
-    """Return columns of errors before and after a calibration, and of what is called last."""
+    """Return columns of errors before and after a calibration, and the column ``last``."""
     units = [unit for unit in ("m", "rad") if unit in mechanism.platform.units]
     return [f"{name} [{unit}]" for unit in units for name in ("before", "after", last)]
 
 
 def _places(columns: Columns, keys: Sequence[str]) -> dict[Item, int]:
-    """Return the place of each item's row."""
+    """Return the index of each item's row."""
     return {item: row for row, item in enumerate(zip(*(columns[k] for k in keys), strict=True))}
 
 
 def _without_rows(make_row: Callable[..., Row], items: Sequence[Item], file: RowFile) -> list[Item]:
-    """Return items without a row; one of the others is made again, and must be as it is there."""
+    """Return items without a row, after checking that one existing row is reproduced."""
     columns, keys = file.read(), file.columns[: len(items[0])]
     places = _places(columns, keys)
     if done := [item for item in items if item in places][:1]:
@@ -152,14 +151,14 @@ def _without_rows(make_row: Callable[..., Row], items: Sequence[Item], file: Row
 
 @one_thread()
 def _rows_of(make_row: Callable[..., Row], keys: Sequence[str], items: Sequence[Item]) -> list[Row]:
-    """Return the rows of items, or why they have none."""
+    """Return the rows of items, or the reasons why they failed."""
     rows = []
     for item in items:
         try:
             row = make_row(*item)
-        except (OSError, MemoryError):  # no property of the item
+        except (OSError, MemoryError):  # not a property of the item
             raise
-        except Exception as error:  # whatever it is, the other rows are made
+        except Exception as error:  # the other rows are made in any case
             kind = "" if isinstance(error, PincalError) else f"{type(error).__name__}: "
             row = {FAILURE: " ".join(f"{kind}{error}".split())}
         rows.append(dict(zip(keys, item, strict=True)) | row)
@@ -167,7 +166,7 @@ def _rows_of(make_row: Callable[..., Row], keys: Sequence[str], items: Sequence[
 
 
 class Cost(NamedTuple):
-    """A tolerance of all parameters of a name: σ, and its shares of the mean square error."""
+    """The tolerance σ of all parameters of a name, and its shares of the mean square error."""
 
     name: str
     unit: str
@@ -178,7 +177,7 @@ class Cost(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MonteCarlo:
-    """Machines that are drawn, measured and calibrated: how far they are off, and by what."""
+    """A study of machines that are drawn, measured and calibrated, and of their errors."""
 
     mechanism: Mechanism
     plan: Plan
@@ -186,18 +185,18 @@ class MonteCarlo:
     """Poses over which errors are root mean squares."""
     noise: Noise
     options: Options
-    """How they are calibrated; tolerance and priors are by how much machines differ, too."""
+    """Options of the calibrations; tolerance and priors also say how far machines differ."""
     measured: Sequence[str] | None = None
-    """Freedoms of the platform that are measured; all if None."""
+    """Measured freedoms of the platform; None for all."""
     seed: int = 0
     columns: Columns = field(default_factory=dict)
-    """A row of each machine, SI: errors before and after, true less nominal parameters."""
+    """A row of each machine, SI: errors before and after, true minus nominal parameters."""
     single: Columns = field(default_factory=dict)
-    """A row of each parameter: errors of a machine of which it alone is off, without noise."""
+    """A row of each parameter: errors of a machine in which only it is off, without noise."""
 
     @cached_property
     def sigmas(self) -> dict[str, float]:
-        """By how much true parameters differ from nominal, by id, one standard deviation."""
+        """Standard deviations of true from nominal parameters, by id."""
         parameters, size = self.mechanism.parameters, self.mechanism.size
         if not (by_name := self.options.priors_by_name(self.mechanism)):
             return {p.id: ERROR * (size if p.unit == "m" else 1.0) for p in parameters}
@@ -209,7 +208,7 @@ class MonteCarlo:
         }
 
     def row(self, machine: int) -> Row:
-        """Return the row of a machine, which its number alone determines."""
+        """Return the row of a machine, which depends only on its number."""
         seeds = np.random.SeedSequence(self.seed, spawn_key=(machine,)).spawn(2)
         drawn, noisy = map(np.random.default_rng, seeds)
         truth = disturb(self.mechanism, self.sigmas, drawn)
@@ -218,12 +217,12 @@ class MonteCarlo:
         return self.errors(truth, self.noise, noisy) | dict(zip(heads, changes, strict=True))
 
     def row_of(self, id_: str) -> Row:
-        """Return the row of a machine of which a parameter alone is off, measured without noise."""
+        """Return the row of a machine in which only one parameter is off, without noise."""
         value = self.mechanism.parameters[id_].nominal + self.sigmas[id_]
         return self.errors(self.mechanism.with_parameters({id_: value}), Noise(0.0, 0.0, 0.0, 0.0))
 
     def errors(self, truth: Mechanism, noise: Noise, seed: Generator | int = 0) -> Row:
-        """Return how far a true machine is off before and after it is measured and calibrated."""
+        """Return the errors of a true machine before and after it is calibrated."""
         nominal, setup, platform = self.mechanism, self.options.setup, self.mechanism.platform
         data = simulate(nominal, truth, self.plan, noise, seed, setup).measurements
         if self.measured is not None:
@@ -231,7 +230,7 @@ class MonteCarlo:
             columns = zip(platform.coordinates, platform.units, strict=True)
             reads = [turned if unit == "rad" else name in self.measured for name, unit in columns]
             data = replace(data, poses=np.where(reads, data.poses, np.nan))
-        result = identified(prepared(nominal, data, self.options))[0]  # findings are in no row
+        result = identified(prepared(nominal, data, self.options))[0]  # a row has no findings
         if not result.converged:
             raise MeasurementError(result.message)
         row: Row = {"poses": len(data), "chi2": result.reduced_chi2}
@@ -247,7 +246,7 @@ class MonteCarlo:
 
     @property
     def known(self) -> Array:
-        """Errors first told, before and after, of machines that were calibrated, (2, n)."""
+        """Errors before and after calibration of machines that were calibrated, shape (2, n)."""
         return self._first(self.columns)[:, self.columns[FAILURE] == ""]
 
     def _first(self, columns: Columns) -> Array:
@@ -255,11 +254,11 @@ class MonteCarlo:
         return np.stack([columns[f"before [{unit}]"], columns[f"after [{unit}]"]])
 
     def costs(self) -> list[Cost]:
-        """Return what each tolerance does, the costliest first.
+        """Return the shares of the tolerances in the error, the costliest first.
 
-        By machines of which a parameter alone is off by a standard deviation: parameters are
-        independent, so that mean squares add up to first order. What they leave of that after the
-        calibration is made by the noise.
+        They are of machines in which one parameter is off by a standard deviation. Parameters are
+        independent, so that mean squares add up to first order; the rest of the error after
+        calibration is due to noise.
         """
         ids = self.single["parameter"]
         squares, parameters = self._first(self.single) ** 2, self.mechanism.parameters
@@ -278,7 +277,7 @@ class MonteCarlo:
 
     @attached
     def __str__(self) -> str:
-        """Return the verdict, how errors are distributed, and what each tolerance costs."""
+        """Return the verdict, the distribution of errors, and what each tolerance costs."""
 
 
 def montecarlo(
@@ -294,16 +293,16 @@ def montecarlo(
 
     Args:
         mechanism: The nominal mechanism, its name or folder.
-        plan: Poses that each machine is measured at.
-        machines: How many.
-        path: Table of the machines, ``*.csv`` or ``*.parquet``; what it holds is not done again.
-        workers: Processes; as many as cores if not given.
-        scheduler: Address of a Dask scheduler, whose workers take the place of processes.
-        **study: ``options``, whose tolerance and priors are by how much machines differ, ``noise``,
+        plan: Poses at which each machine is measured.
+        machines: Number of machines.
+        path: Table of the machines, ``*.csv`` or ``*.parquet``; its rows are not made again.
+        workers: Number of processes; by default one for each core.
+        scheduler: Address of a Dask scheduler, whose workers replace the processes.
+        **study: ``options``, whose tolerance and priors say how far machines differ, ``noise``,
             ``workspace``, ``measured`` and ``seed``: see ``MonteCarlo``.
 
     Raises:
-        MeasurementError: a plan, noise or options that do not suit the mechanism.
+        MeasurementError: plan, noise or options do not suit the mechanism.
         FileError: the table cannot be written, or holds other machines.
         PincalError: no Dask scheduler answers.
 

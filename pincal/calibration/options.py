@@ -1,4 +1,4 @@
-"""What a calibration is asked to do: one set of options for fit and validation."""
+"""Options of a calibration, the same for fit and validation; and its folds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FOLDS = 5
 
 
 def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
-    """Return the fold of each row, shape (N,); -1 of rows that are seen by every fit."""
+    """Return the fold of each row, shape (N,); -1 for rows that are in every fit."""
     if data.verifying.any():
         return np.where(data.verifying, 0, -1)
     if by == "run":
@@ -54,7 +54,7 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
             measured = np.isfinite(readings)
             low = np.min(readings, axis=0, where=measured, initial=np.inf)
             high = np.max(readings, axis=0, where=measured, initial=-np.inf)
-            ranged = high > low  # by shares of the ranges, the middle where there is none
+            ranged = high > low  # relative to the ranges, 0.5 without a range
             shares = readings - np.where(ranged, low, 0.0)
             shares /= np.where(ranged, high - low, 1.0)
             shares = np.where(measured & ranged, shares, 0.5)
@@ -65,14 +65,14 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
 
 
 def clusters(data: Measurements) -> list[str]:
-    """Return the pose of each row: by its name, or by equal readings; length N."""
+    """Return the pose of each row, by its name or by equal readings, length N."""
     if data.places is None:
         return [row.tobytes().hex() for row in data.readings]
-    return [place or str(row) for row, place in enumerate(data.places)]  # an empty one is its own
+    return [place or str(row) for row, place in enumerate(data.places)]  # unnamed rows are single
 
 
 def _regions(readings: Array, count: int) -> Index:
-    """Return the region of each row, shape (N,): halves of halves along the widest reading."""
+    """Return the region of each row, shape (N,), by repeated halving along the widest reading."""
     if count == 1:
         return np.zeros(len(readings), dtype=np.intp)
     spread = np.ptp(readings, axis=0)
@@ -90,7 +90,7 @@ Method = Literal["all-legs", "per-leg"]
 Poses = Literal["own", "all"]
 Progress = Callable[[str], None] | None
 AUTO: Final = "auto"
-"""What is found by the measurements: terms that pay, the size of tolerances."""
+"""Terms, or sizes of tolerances, are to be found from the measurements."""
 
 Tolerance = Mapping[str, float] | Literal["auto"]
 
@@ -111,11 +111,11 @@ class Options:
     """Standard deviations of the measurements. If neither this nor the measurements give them, they
     are taken from repeated rows, or else estimated by group from the residuals."""
     setup: Setup = field(default_factory=Setup)
-    """What the measured numbers mean: unknown frame, targets, distances."""
+    """What was measured: unknown frame, targets, distances, instruments."""
     loss: LossName | Loss = option(
         "none", "Rows that do not fit count less, or are left out (reject).", kind=LossName
     )
-    """In Python also a ``Loss`` of one's own."""
+    """In Python also a user's ``Loss``."""
     fixed: tuple[str, ...] = option(
         (), "Hold a parameter: l of every leg, leg_1.l of one; leg_1.*, A_*.", metavar="NAME"
     )
@@ -134,9 +134,9 @@ class Options:
         metavar="0.5mm,5mrad",
         kind=str | None,
     )
-    """By unit, ``{"m": 5e-4, "rad": 5e-3}`` (``"1"``: gains), or ``"0.5mm,5mrad"``: a standard
-    deviation for each parameter of that unit that has no prior of its own and is no amplitude of a
-    term. ``"auto"`` finds these with the parameters, as variance components."""
+    """Standard deviations by unit, ``{"m": 5e-4, "rad": 5e-3}`` (``"1"``: gains), or a text such as
+    ``"0.5mm,5mrad"``, of parameters without a prior, except amplitudes of terms. ``"auto"``
+    estimates them with the parameters as variance components."""
     terms: tuple[str, ...] = option(
         (),
         "Terms to add to sensors: harmonics:1,2, period:5mm, polynomial, backlash, gravity, a "
@@ -158,7 +158,7 @@ class Options:
         FOLDS, "Folds of held-out validation and of the choice of terms; 0: no validation.", least=0
     )
     progress: Progress = field(default=None, compare=False, repr=False)
-    """Called with what is being done."""
+    """Called with a text that says what is being done."""
 
     def __post_init__(self) -> None:
         for name, known in _CHOICES.items():
@@ -167,7 +167,7 @@ class Options:
                     f"unknown {name} {getattr(self, name)!r}; expected one of "
                     f"{', '.join(get_args(known))}"
                 )
-        loss_of(self.loss)  # raises where there is no such loss
+        loss_of(self.loss)  # raises if it is unknown
         must_be(self.noise, (Noise, type(None)), "noise", MeasurementError)
         must_be(self.setup, Setup, "setup", MeasurementError)
         if not isinstance(self.folds, int) or self.folds < 0 or self.folds == 1:
@@ -191,7 +191,7 @@ class Options:
         """Return options from keywords; unknown_frame and unknown_target go into the setup.
 
         Raises:
-            MeasurementError: unknown options or values.
+            MeasurementError: an option is unknown, or its value.
         """
         unknowns = {name: given.pop(f"unknown_{name}", False) for name in ("frame", "target")}
         known = [option.name for option in fields(cls)]
@@ -202,7 +202,7 @@ class Options:
         return replace(chosen, setup=chosen.setup.anywhere(**unknowns))
 
     def priors_of(self, parameters: Sequence[Parameter]) -> dict[str, float]:
-        """Return the priors in SI, by name; raise if one is no number in the parameter's unit."""
+        """Return the priors in SI by name; raise if one is not a number in the parameter's unit."""
         priors: dict[str, float] = {}
         for name, sigma in dict[str, Any](self.priors).items():
             units = {p.unit for p in parameters if means(name, p.owner, p.name)}
@@ -218,7 +218,7 @@ class Options:
         return priors
 
     def priors_by_name(self, mechanism: Mechanism) -> dict[str, float]:
-        """Return standard deviations from nominal, by ids of tolerances, then names of priors."""
+        """Return standard deviations about nominal by ids (tolerances) and names (priors)."""
         by_unit = {} if isinstance(self.tolerance, str) else self.tolerance
         tolerances = {
             parameter.id: by_unit[parameter.unit]
@@ -229,16 +229,16 @@ class Options:
 
     @property
     def every_pose(self) -> bool:
-        """Whether every pose serves every leg."""
+        """Whether every pose is used for every leg."""
         return self.method == "all-legs" or self.poses == "all"
 
     @property
     def latent(self) -> bool:
-        """Whether poses are unknowns, or taken as measured."""
+        """Whether poses are unknowns rather than taken as measured."""
         return self.method == "all-legs"
 
     def report(self, what: str) -> None:
-        """Say what is being done."""
+        """Report what is being done."""
         if self.progress is not None:
             self.progress(what)
 
@@ -247,7 +247,7 @@ _CHOICES = {"method": Method, "poses": Poses}
 
 
 def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any]:
-    """Return standard deviations by name; of texts such as ``l=0.5mm`` as they are typed."""
+    """Return standard deviations by name; texts such as ``l=0.5mm`` are split, not converted."""
     if isinstance(priors, Mapping):
         return priors
     by_name: dict[str, str] = {}
@@ -260,7 +260,7 @@ def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any
 
 
 def _tolerance(tolerance: Mapping[str, float] | str) -> Tolerance:
-    """Return standard deviations by unit, of a text such as ``0.5mm,5mrad,0.001`` too, or AUTO."""
+    """Return standard deviations by unit, also from a text ``0.5mm,5mrad,0.001``, or AUTO."""
     if isinstance(tolerance, str) and tolerance.strip() == AUTO:
         return AUTO
     by_unit = _parse_tolerance(tolerance) if isinstance(tolerance, str) else tolerance

@@ -1,4 +1,4 @@
-"""What a calibration promises of the platform's error, and what contradicts a promise."""
+"""The promised error of the platform, the region in which it holds, and what contradicts it."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
 
 _BEST_FIT = 1e-6, 1e6  # radii at which frames are aligned for positions, for orientations, [m]
-_SAME = 1e-6  # by which the uncertainty of one pose may differ by rounding
-UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
+_SAME = 1e-6  # relative difference of the uncertainty of a pose by rounding
+UNEXPLAINED = 1e-4  # p-value of χ² below which the given noise is doubted
 
 
 def excess_of(chi2: float, p_value: float) -> float:
-    """Return how many times larger residuals are than the noise makes them; 1 if it may be."""
+    """Return residuals over the given noise as a factor; 1 if the noise may explain them."""
     return float(np.sqrt(chi2)) if p_value < UNEXPLAINED else 1.0
 
 
 def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -> float:
-    """Return the probability of a reduced χ², or a larger one; by F of noise that is estimated."""
+    """Return the p-value of a reduced χ²; by F if the noise is estimated."""
     if not degrees_of_freedom:
         return 1.0
     if np.isfinite(of_noise):
@@ -53,20 +53,20 @@ def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -
 
 
 def unnoticed(chi2: float, degrees_of_freedom: float) -> float:
-    """Return how many times the noise residuals may be by their reduced χ², at 95 %; 1 or more."""
+    """Return the 95 % limit of residuals over the noise by their reduced χ²; at least 1."""
     if not degrees_of_freedom:
         return 1.0
     return float(np.sqrt(max(1.0, chi2 * degrees_of_freedom / chdtri(degrees_of_freedom, 0.95))))
 
 
 def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> PlatformError:
-    """Return what ``CalibrationResult.expected_error`` does.
+    """Return the expected platform error: see ``CalibrationResult.expected_error``.
 
-    The measured region is where no pose is more uncertain than the most uncertain measured one:
-    what the model lacks there, measurements show or parameters have taken up.
+    The measured region is where no pose is more uncertain than the most uncertain measured pose:
+    errors of the model in it have been seen, or parameters have absorbed them.
 
-    Where something contradicts the model, errors are larger by what it lacks: at measured poses
-    what fits without these miss by; position or orientation that is not measured as the other.
+    Where something contradicts the model, errors are scaled to those at measured poses by fits
+    without them; position or orientation, if not measured, is scaled like the other.
     """
     poses = measured_plan(result) if poses is None else poses
     error = _by_covariance(result, poses)
@@ -88,22 +88,22 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
 
 
 def errors_inside(result: CalibrationResult, plan: Plan) -> tuple[PlatformError, PlatformError]:
-    """Return the errors over all poses, and over those that lie in the measured region."""
+    """Return the errors over all poses, and over the poses in the measured region."""
     expected = result.expected_error(plan)
     within = expected.within
     if within.all():
         return expected, expected
-    inside = result.expected_error(plan.rows(within))  # frames are those of other poses,
-    return expected, replace(inside, outside=expected.outside[within])  # the region is the same
+    inside = result.expected_error(plan.rows(within))  # with frames that fit these poses,
+    return expected, replace(inside, outside=expected.outside[within])  # and the same region
 
 
 def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tuple[float, float]:
-    """Return errors of the machine that residuals cannot show, root mean squares, [m] and [rad].
+    """Return root mean square errors of the machine that residuals cannot show, [m] and [rad].
 
-    Conditions B δx + D δψ = 0 of poses and readings have noise of covariance K. What else the
-    machine is off by and no parameter holds, as clearance, stands in the same conditions; χ² leaves
-    the two together up to a scale (``unnoticed``), which leaves (scale² - 1) K to the machine. That
-    moves the platform wherever it goes, parameters apart: through B⁻¹ D by the readings' share.
+    The conditions B δx + D δψ = 0 of poses and readings have noise of covariance K. Other errors of
+    the machine, such as clearance, appear in the same conditions. χ² bounds the sum of both by a
+    scale (``unnoticed``), which leaves up to (scale² - 1) K to the machine. The readings' share of
+    that moves the platform at every pose through B⁻¹ D, apart from the parameters.
     """
     noise, legs = result.calibration.noise, legs_at(result.identified, poses)
     of_readings = np.sqrt(np.nanmean(noise.readings**2, axis=0))
@@ -118,7 +118,7 @@ def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tup
 
 
 def most_uncertain(result: CalibrationResult) -> Array:
-    """Return the largest standard errors at measured poses, [m] and [rad], (2,); NaN if none is.
+    """Return the largest standard errors at measured poses, [m] and [rad], (2,), or NaN.
 
     They bound the measured region.
     """
@@ -129,10 +129,10 @@ def most_uncertain(result: CalibrationResult) -> Array:
 
 
 def uncovered(result: CalibrationResult) -> tuple[str, ...]:
-    """Return what a promise does not cover: nothing was said of it, and it can hide in parameters.
+    """Return the causes of errors that a promise does not cover, since parameters can absorb them.
 
-    ``"weight"`` that nobody said, or that has no terms, a wrong ``"scale"`` of the instrument or
-    the machine's temperature, and what changes with ``"time"`` where no pose was measured again.
+    They are ``"weight"`` that is not given or has no terms, a wrong ``"scale"`` of the instrument
+    or by temperature, and changes with ``"time"`` where no pose was measured repeatedly.
     """
     observation = result.calibration.observation
     columns = zip(observation.units, observation.measured.T, strict=True)
@@ -163,11 +163,12 @@ def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
 
 
 def seen_by(result: CalibrationResult) -> Array | Seen | None:
-    """Return what is seen of the platform: where frame or targets were unknown, what was measured.
+    """Return the view of the platform in which errors are stated.
 
-    That are the targets, and the orientation if that was measured, but for where the unknown
-    frame, offsets and turns lie. What no such measurement can fix, such as a point of the platform
-    that is far from the targets, is no error of the machine. Else motions of frames, or none.
+    Where frame or targets were unknown, it is of the targets, and of the orientation if that was
+    measured, apart from motions of the unknown frame, offsets and turns: the motion of a point far
+    from the targets, which no such measurement can fix, is no error of the machine. Otherwise it is
+    the platform apart from motions of frames that the gauge has fixed, if any.
     """
     observation, values = result.calibration.observation, result.outside
     platform, outside = result.nominal.platform, observation.external
@@ -184,7 +185,7 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
     n_targets = len(names) / platform.space
 
     def seen(poses: Array, twists: Array) -> tuple[Array, Array, tuple[str, ...]]:
-        """Return what is seen of twists at poses: see ``Seen``."""
+        """Return the visible part of twists at poses: see ``Seen``."""
         count, n = len(poses), len(names)
         moved = np.zeros((count, len(units), twists.shape[2]))
         motions = np.zeros((count, len(units), len(outside)))
@@ -198,7 +199,7 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
             turned[:, rotations] = twists[:, platform.lengths :]
             moved[:, n:] = (F @ turned)[:, rotations]
             by_values = np.zeros((count, 3, outside.own.stop))
-            by_values[:, :, 3:6] = np.eye(3)  # by turns of the frame
+            by_values[:, :, 3:6] = np.eye(3)  # derivatives by turns of the frame
             by_values[:, :, outside.turn] = F @ matrices[:, :3, :3]
             motions[:, n:] = by_values[:, rotations][:, :, outside.free]
         return moved, motions, units
@@ -209,10 +210,10 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
 def apart(
     result: CalibrationResult, plan: Plan, model: Mechanism, truth: Mechanism
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return where the true machine goes less where a model sends it, and units.
+    """Return the true minus the commanded motion when a model drives the true machine, and units.
 
-    What is seen of it, as in ``expected_error``, shape (N, r); NaN out of reach. Frames that are
-    not known are aligned as is best for positions, and for orientations.
+    It is the visible motion, as in ``expected_error``, shape (N, r); NaN out of reach. Unknown
+    frames are aligned to be best for positions, and for orientations.
     """
     twists = platform_errors(model, truth, plan)
     known = np.isfinite(twists).all(axis=1)
@@ -227,19 +228,19 @@ def apart(
 
 
 def measured_plan(result: CalibrationResult) -> Plan:
-    """Return the measured configurations: poses, and readings where these do not follow."""
+    """Return the measured configurations: poses, and readings where poses do not give them."""
     read = result.measurements.readings if result.nominal.by_readings else None
     return Plan(result.poses, readings=read)
 
 
 Misses = dict[tuple[str, str], Array]
-"""How far each target is missed, by target and unit, shape (N,), [m] or [rad]; NaN if unknown."""
+"""Sizes of errors by target and unit, shape (N,), [m] or [rad]; NaN if unknown."""
 
 
 def misses_of(calibration: Calibration, parameters: Array, external: External) -> Misses:
-    """Return by how much parameters of all legs, (n,), miss targets at a calibration's rows.
+    """Return errors of targets at a calibration's rows with parameters (n,) of all legs.
 
-    NaN where a target was not measured, a reading is missing, or no pose belongs to the readings.
+    NaN where a target was not measured, a reading is missing, or the readings have no pose.
     """
     machine = calibration.identified(parameters)
     observation, data = calibration.observation, calibration.measurements
@@ -260,10 +261,10 @@ def misses_of(calibration: Calibration, parameters: Array, external: External) -
 
 
 def by_target(observation: Observation, errors: Array, metres: Array | float = np.nan) -> Misses:
-    """Return sizes of errors of measured quantities, (N, r), by target; NaN where none is known.
+    """Return sizes of errors of measured quantities (N, r) by target; NaN where unknown.
 
-    Of cameras root mean squares over the points that they see, in px, and in m across the line of
-    sight, by metres per pixel, (N, r).
+    For cameras they are root mean squares over seen points, in px, and in m across the line of
+    sight with ``metres`` per pixel, (N, r).
     """
     setup, sizes_by_target = observation.setup, dict[tuple[str, str], Array]()
     cameras = {device.name for device in setup.instruments if setup.pixels & {*device.columns}}
@@ -280,7 +281,7 @@ def by_target(observation: Observation, errors: Array, metres: Array | float = n
 
 
 def _columns(observation: Observation) -> dict[tuple[str, str], list[int]]:
-    """Return the columns among measured quantities of each target and unit, of cameras for both."""
+    """Return the columns of measured quantities by target and unit (cameras: px and m)."""
     platform, names, setup = observation.platform, list(observation.names), observation.setup
     named = {(target, "m"): axes for target, axes in setup.positions(platform).items()}
     touched = setup.contact_axes(platform).items()

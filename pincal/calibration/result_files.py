@@ -1,7 +1,7 @@
 """A result folder: ``result.json``, ``residuals.csv``, the nominal and the calibrated mechanism.
 
-``result.json`` says what was found, for people and programs, and holds under ``data`` all
-that the result is made of, bit for bit, so that ``load_result`` gives it back.
+``result.json`` has the result for people and programs, and under ``data`` all its parts bit for
+bit, from which ``load_result`` restores it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 def _plain(array: NDArray[Any]) -> Any:
-    """Return an array as its type, shape and numbers; those that are none as strings."""
+    """Return an array as its type, shape and numbers; NaN and infinities as strings."""
     numbers = [_CONVERTER.unstructure(number) for number in array.ravel().tolist()]
     return {"type": array.dtype.str, "shape": list(array.shape), "values": numbers}
 
@@ -60,7 +60,7 @@ def _array(data: Any, _: Any) -> NDArray[Any]:
 
 
 def _loss(name: str, _: Any) -> LossName | Loss:
-    """Return a loss by its name; one of one's own is code, of which the name alone is known."""
+    """Return a loss by its name; a user's loss is code, of which only the name is stored."""
 
     def weigh(_: Any) -> Any:
         raise MeasurementError(
@@ -71,7 +71,7 @@ def _loss(name: str, _: Any) -> LossName | Loss:
 
 
 def _frozen(data: Any) -> Any:
-    """Return data of which lists are tuples, as findings hold them; named numbers are numbers."""
+    """Return data with tuples for lists, as findings have them, and numbers for their names."""
     if data in ("inf", "-inf", "nan"):
         return float(data)
     if isinstance(data, list):
@@ -82,11 +82,11 @@ def _frozen(data: Any) -> Any:
 
 
 def _converter() -> Converter:
-    """Return what makes plain data of a result and back, but for the mechanism and code."""
+    """Return the converter between results and plain data, without mechanisms and code."""
     converter = Converter(forbid_extra_keys=True)
 
     def checked(data: dict[str, Any], kind: type) -> Any:
-        """Return a part of a camera, which checks what it is made of."""
+        """Return a part of a camera, whose constructor checks the data."""
         parts = {"lens": Lens, "markers": Markers}
         return kind(
             **{
@@ -124,12 +124,12 @@ _CONVERTER = _converter()
 
 FORMAT = 6
 REPRODUCED = 1e-9
-"""Of a machine's size, [m] and [rad]: within this its residuals, read back, are those reported."""
+"""Largest difference of reported residuals from the saved machine's, of its size and [rad]."""
 _REMEDY = "calibrate the measurements again, or take a copy that is whole"
 RESULT, REPORT = "result.json", "report.html"
 MECHANISM, NOMINAL = "mechanism", "nominal"
 RESULT_FILES = (RESULT, "residuals.csv", "poses.csv", REPORT, MECHANISM, NOMINAL)
-"""What pincal writes in a result folder, first the file by which it is known."""
+"""Files of a result folder; the first one identifies it."""
 
 
 def save_result(
@@ -139,13 +139,12 @@ def save_result(
     force: bool = False,
     report: Report | None = None,
 ) -> Path:
-    """Write a result folder: arguments and errors are those of ``CalibrationResult.save``.
+    """Write a result folder; arguments and errors are as in ``CalibrationResult.save``.
 
-    A fit that did not converge has no calibrated mechanism, so none is written. One that is written
-    reproduces the fit.
+    A calibrated mechanism is written only if the fit converged and the mechanism reproduces it.
 
     Raises:
-        MeasurementError: instruments of one's own, which are code, not data.
+        MeasurementError: there are a user's instruments, which are code, not data.
         PincalError: the mechanism that would be written does not reproduce the fit.
     """
     devices = result.options.setup.instruments
@@ -176,8 +175,8 @@ def save_result(
 def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
     """Raise if a calibrated machine, saved and loaded, does not give the residuals of its fit.
 
-    That is, the least twists of the platform that undo what its legs miss at poses and rows of the
-    fit, with what its own terms follow there, against those by the fitted parameters.
+    Compared are the least twists of the platform that close the legs at poses and rows of the fit,
+    of the machine with the influences that it computes itself, and by the fitted parameters.
     """
     calibration, rows = result.calibration, np.arange(len(result.poses))
     data = replace(calibration.measurements, influences=_influences_again(calibration, machine))
@@ -203,9 +202,9 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
 
 
 def _influences_again(calibration: Calibration, machine: Mechanism) -> dict[str, Array]:
-    """Return what terms follow at the rows of a calibration, as a machine works it out itself.
+    """Return the influences at the rows of a calibration as the machine computes them itself.
 
-    At the poses of the fit's own; not what was measured, which no mechanism says.
+    They are at the poses of the fit; measured influences, which no mechanism knows, are omitted.
     """
     data = calibration.measurements
     names = calibration.mechanism.followed & set(calibration.mechanism.influences)
@@ -228,9 +227,9 @@ def _influences_again(calibration: Calibration, machine: Mechanism) -> dict[str,
 
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
-    """Return a result as plain data for JSON; numbers that do not exist are null.
+    """Return a result as plain data for JSON, with null for NaN and infinities.
 
-    Under ``data`` is all that it is made of; mechanisms apart.
+    ``data`` has all parts of the result except mechanisms.
     """
     held_out, noise = result.validation, {} if result.noise is None else vars(result.noise)
     contents = {
@@ -313,7 +312,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def read_result(folder: str | Path) -> dict[str, Any]:
-    """Return the contents of a result folder's ``result.json``; errors are ``load_result``'s."""
+    """Return the contents of a folder's ``result.json``; errors are as in ``load_result``."""
     path = Path(folder) / RESULT
     try:
         text = read_text(path, LARGEST_FILE["result"], MeasurementError)
@@ -338,12 +337,12 @@ def read_result(folder: str | Path) -> dict[str, Any]:
 
 
 def load_result(folder: str | Path) -> CalibrationResult:
-    """Return the result that a folder holds: what was saved, bit for bit.
+    """Return the result that was saved to a folder, bit for bit.
 
     Raises:
         FileError: a file is missing or cannot be read.
-        MeasurementError: not a result of pincal, a damaged one, or one of another version.
-        MechanismError: a nominal mechanism that cannot be loaded.
+        MeasurementError: it is not a result of pincal, or is damaged, or of another version.
+        MechanismError: the nominal mechanism cannot be loaded.
     """
     contents = read_result(folder)
     nominal, converter = load_mechanism(Path(folder) / NOMINAL), _CONVERTER.copy()

@@ -1,13 +1,13 @@
-"""A session beside the robot: which pose next, whether its row can be right, when it is enough.
+"""A session beside the robot: which pose is next, whether its row can be right, when it is enough.
 
-A session is its plan, its options and the rows that were measured; all else is made of these. After
-each row they are calibrated anew, with drawings as priors, so that something is known from the
+A session is its plan, its options and the measured rows; everything else follows from these. After
+each row they are calibrated again, with the drawing as prior, so that something is known from the
 first row on:
 
     check    χ² = rᵀ (s² (1 + J C Jᵀ))⁻¹ r    a row r against its prediction by a fit without it,
-    enough   the limit that ``pincal.calibrate`` promises of these rows, priors apart,
+    enough   the limit that ``pincal.calibrate`` promises by these rows without priors.
 
-and what is next is ``pincal.design.order``'s.
+The next pose is chosen by ``pincal.design.order``.
 """
 
 from __future__ import annotations
@@ -53,22 +53,22 @@ from pincal.words.findings import finding
 from pincal.words.numbers import SI, Units
 
 PLANNED = "planned_"
-"""What heads columns of the sheet that say what to drive to."""
+"""Prefix of the sheet's columns with set points of the drives."""
 FALSE_ALARM = 3e-3
-"""Probability that a sound row is called off, by each of two tests."""
+"""Probability with which each of two tests calls a sound row wrong."""
 ENOUGH = 0.95
-"""Share of the workspace that the measured region, of which errors are stated, should hold."""
-_LARGEST = 3.0  # standard deviations that the largest changes of machines are
-_CAUSES = 3  # that are named, at most
-_SEEN = 1e-6  # share of a slip's square that a residual shows, at least
-_CONFIRMED = 1e-8  # share of the variance of a row's residuals that all others predict, at least
-_LEAST = float(np.finfo(float).tiny)  # of chances that can be held
-_NEARLY = 1e-4  # of a row's χ²: what is left where a number was rounded as it was typed
+"""Share of the workspace that the measured region, in which errors are stated, should cover."""
+_LARGEST = 3.0  # standard deviations of the largest differences of machines from the drawing
+_CAUSES = 3  # largest number of causes that are named
+_SEEN = 1e-6  # least share of a slip's square that shows in a residual
+_CONFIRMED = 1e-8  # least share of the variance of a row's residuals that other rows predict
+_LEAST = float(np.finfo(float).tiny)  # smallest probability that a float can hold
+_NEARLY = 1e-4  # share of a row's χ² that rounding of a typed number may leave
 
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """What a session measures, and to what end."""
+    """Options of a session: what is measured, and the accuracy that is wanted."""
 
     accuracy: float | None = option(
         None, "Root mean square position error that is enough [m], or as 0.05mm.", unit="m"
@@ -83,41 +83,41 @@ class SessionOptions:
     noise: Noise = field(default_factory=Noise)
     setup: Setup = field(default_factory=Setup)
     measured: tuple[str, ...] | None = None
-    """Freedoms of the platform and columns of the setup that are measured; all if not given."""
+    """Measured freedoms of the platform and columns of the setup; None for all."""
     units: Units = SI
-    """Of the columns; mm and degrees where nothing else is said."""
+    """Units of the columns; by default mm and degrees."""
 
 
 class Checked(NamedTuple):
-    """A row as it was judged when it came."""
+    """The verdict on a row when it was entered."""
 
     row: int
-    """Counted from 0."""
+    """Index of the row, from 0."""
     sigma: float | None
-    """Its residual in standard deviations of prediction and noise, that of one normal number as
-    unlikely; infinite where no pose belongs to it, None where nothing can be predicted yet."""
+    """Size of a normal residual as unlikely as the row, in standard deviations of prediction and
+    noise; infinite if the row has no pose, None if nothing can be predicted yet."""
     off: bool = False
     """Whether it is farther off than sound rows are."""
     quantity: str = ""
-    """The number whose slip would explain most of that."""
+    """The number whose slip would explain most of the residual."""
     causes: tuple[Finding, ...] = ()
-    """What would explain it: units, signs, swapped columns."""
+    """Faults that would explain it: units, signs, swapped columns."""
 
 
 class Session:
-    """Rows that are measured one by one, on disk before anything is made of them.
+    """Rows that are measured one by one, and are on disk before anything else is done with them.
 
-    ``checked`` is the verdict on the last row, ``result`` the calibration of all rows but a last
-    one that is off; None while it cannot be made, for the reason ``why``. ``error`` is that of the
-    platform over the ``share`` of the workspace that lies in the measured region. It is ``enough``
-    where that promises what was wanted, and the next pose would not widen that region. ``doubtful``
-    is the row that all others contradict, and by how many σ.
+    ``checked`` is the verdict on the last row. ``result`` is the calibration of all rows, except a
+    last one that is off; it is None while there is none, for the reason ``why``. ``error`` is the
+    platform's error over the ``share`` of the workspace in the measured region. It is ``enough`` if
+    the wanted accuracy is promised, and the next pose would not widen that region. ``doubtful`` is
+    the row that all others contradict, and by how many σ.
     """
 
     def __init__(
         self, folder: Path, mechanism: Mechanism, plan: Plan, options: SessionOptions
     ) -> None:
-        """Open a session, new or as it was left, of poses to choose from."""
+        """Open a session, new or as it was left, with a plan of poses to choose from."""
         setup = options.setup.of_rows(plan.contacts)
         if plan.readings is None:
             plan = replace(plan, readings=inverse(mechanism, plan.poses).readings)
@@ -142,12 +142,12 @@ class Session:
         )
         self.forecast = self.candidates.limits(self.candidates.course())
         self.chosen: int | None = None
-        """Row of the plan to measure next, if not the best."""
+        """Row of the plan that the user chose to measure next, if any."""
         self.journal = Journal(folder, list(self.sheet))
         self._restart()
 
     def _restart(self) -> None:
-        """Make of the rows on disk what is known."""
+        """Restore the session from the rows on disk."""
         self.checked: Checked | None = None
         self._forget()
         if count := len(self.journal.rows):
@@ -166,20 +166,20 @@ class Session:
 
     @property
     def measured(self) -> list[int]:
-        """Rows of the plan that were measured, in this order; what is off counts."""
+        """Rows of the plan that were measured, in this order, including rows that are off."""
         place = self.journal.columns.index("row")
         return [int(row[place]) - 1 for row in self.journal.rows]
 
     @property
     def questioned(self) -> bool:
-        """Whether the last row is off, and to be kept or undone."""
+        """Whether the last row is off, and is yet to be kept or undone."""
         return self.checked is not None and self.checked.off
 
     def next_pose(self) -> tuple[int, float]:
-        """Return the row of the plan to measure next, and by what share errors then fall.
+        """Return the row of the plan to measure next, and the share by which it lowers errors.
 
-        That of the last row while it is questioned, then one that was chosen. After what is enough
-        those reserved for verification come, then the others.
+        It is the last row while that is questioned, else the chosen one. When it is enough, rows
+        reserved for verification come first.
         """
         if self.questioned:
             return self.measured[-1], 0.0
@@ -199,7 +199,7 @@ class Session:
 
     @property
     def missing(self) -> int:
-        """About how many poses it takes to what is wanted, as forecast; 0 if it is enough."""
+        """Forecast number of further poses until the wanted accuracy; 0 if it is enough."""
         if self.options.accuracy is None or self.enough:
             return 0
         expected = self.candidates.limit(*self.measured)
@@ -207,27 +207,27 @@ class Session:
         goal = self.options.accuracy * (expected / limit if np.isfinite(limit) else 1.0)
         limits, levels = np.array(self.forecast), np.array([expected, goal])
         beyond = len(limits) * (limits[-1] / levels) ** 2
-        reached = np.searchsorted(-limits, -levels)  # they fall
+        reached = np.searchsorted(-limits, -levels)  # both decrease
         before, after = np.where(limits[-1] <= levels, reached, beyond)
         return max(1, round(after - before))
 
     def add(self, entry: Mapping[str, str], row: int | None = None) -> Checked:
-        """Record what was measured at a row of the plan, the next one if not given; check it.
+        """Record and check what was measured at a row of the plan, by default the next one.
 
         Args:
-            entry: Cells by column, headers or names; of readings that are left out those that were
-                commanded are taken. Units are those of the headers.
-            row: Row of the plan, counted from 0.
+            entry: Cells by header or name of the column, in the units of the headers. Readings that
+                are left out are the commanded ones.
+            row: Row of the plan, from 0.
 
         Raises:
-            MeasurementError: a cell that is no number, or nothing measured; nothing is recorded.
+            MeasurementError: a cell is not a number, or nothing was measured; nothing is recorded.
         """
         row = self.next_pose()[0] if row is None else row
         if not 0 <= row < len(self.plan):
             raise MeasurementError(f"there is no pose {row + 1}; the plan has {len(self.plan)}")
         cells = {head: column[row] for head, column in self.sheet.items()}
         heads = {name: head for head in self.columns for name in (head, head.partition(" [")[0])}
-        for name in heads.keys() & entry.keys():  # an instrument may say more
+        for name in heads.keys() & entry.keys():  # an instrument may send more
             cell, head = entry[name].strip(), heads[name]
             if cell and not abs(plain_number(cell)) <= LARGEST:
                 raise MeasurementError(f"{head}: {cell!r} is no number; enter the row again")
@@ -248,15 +248,15 @@ class Session:
         return checked
 
     def skip(self, row: int) -> None:
-        """Offer a row of the plan no more, until the session is opened again."""
+        """Do not offer a row of the plan again until the session is reopened."""
         self.candidates.offered[row], self.chosen = False, None
 
     def keep(self) -> None:
-        """Take the last row as it is, though it is off."""
+        """Keep the last row although it is off."""
         self._judge(self._read(), keep=True)
 
     def undo(self, row: int | None = None) -> None:
-        """Take a row back, the last if none is named."""
+        """Undo a row, by default the last."""
         self.journal.undo(len(self.journal.rows) - 1 if row is None else row)
         self._restart()
 
@@ -264,7 +264,7 @@ class Session:
         return prepared(self.mechanism, self.journal.path, self._options)
 
     def _judge(self, calibration: Calibration, *, keep: bool = False) -> Checked:
-        """Return the verdict on the last row; calibrate, if it is not off."""
+        """Return the verdict on the last row, and calibrate if it is not off."""
         checked = self._check(calibration)
         self.checked = checked._replace(off=checked.off and not keep)
         if not self.checked.off:
@@ -273,7 +273,7 @@ class Session:
 
     @one_thread()
     def _fit(self, calibration: Calibration) -> None:
-        """Calibrate; say whether it is enough."""
+        """Calibrate, and decide whether it is enough."""
         self._forget()
         workspace, wanted = self.candidates.workspace, self.options.accuracy or 0.0
         try:
@@ -286,7 +286,7 @@ class Session:
             if self.share < ENOUGH:
                 self._outside = np.nan_to_num(self.result.expected_error(self.plan).outside)
             if self._outermost() is None:
-                options = replace(self._options, priors={})  # what is promised without drawings
+                options = replace(self._options, priors={})  # promises do not rest on the drawing
                 result = calibrate(self.mechanism, calibration.measurements, options)
                 self.error = errors_inside(result, workspace)[1]
                 self.enough = self.error.limit[0] <= wanted
@@ -295,7 +295,7 @@ class Session:
 
     @one_thread()
     def _check(self, calibration: Calibration) -> Checked:
-        """Return the verdict on the last row by what is known without it."""
+        """Return the verdict on the last row by its prediction from the others."""
         row = len(calibration.measurements) - 1
         if self._fits is None and len(calibration.observation.external):
             return Checked(row, None)
@@ -328,9 +328,9 @@ class Session:
     def _predicted(
         self, calibration: Calibration, hypotheses: Sequence[Hypothesis]
     ) -> tuple[Array, Array, Linear]:
-        """Return residuals of the last row if hypotheses are true, (N, k), and their covariances.
+        """Return residuals of the last row under hypotheses, (N, k), their covariances, conditions.
 
-        And the conditions, at the poses that fit best; those planned are where these are sought.
+        Conditions are at the poses that fit best, searched from the planned ones.
         """
         last = calibration.measurements.rows(np.array([len(calibration.measurements) - 1]))
         righted = [hypothesis.right(last) for hypothesis in hypotheses]
@@ -357,7 +357,7 @@ class Session:
 
 
 def _squares(r: Array, S: Array) -> Array:
-    """Return χ² = rᵀ S⁻¹ r of rows, shape (N,); infinite where no pose belongs to one."""
+    """Return χ² = rᵀ S⁻¹ r of rows, shape (N,); infinite where a row has no pose."""
     known = np.isfinite(S).all(axis=(1, 2)) & np.isfinite(r).all(axis=1)
     squares = np.full(len(r), np.inf)
     squares[known] = (r[known] * np.linalg.solve(S[known], r[known, :, None])[:, :, 0]).sum(axis=1)
@@ -365,12 +365,12 @@ def _squares(r: Array, S: Array) -> Array:
 
 
 def _judged(r: Array, S: Array, linear: Linear, rows: Index | slice) -> tuple[Array, ...]:
-    """Return χ² of rows, their σ and chance, which quantity is worst, and χ² without it, (N,) each.
+    """Return χ² of rows, σ, p-value, the worst quantity, and χ² without it, shape (N,) each.
 
-    Of residuals r, (N, k), with covariances S, of conditions at some rows. A slip of one standard
-    deviation moves residuals by its column w of the noise's root, so that it takes (wᵀ S⁻¹ r)² /
-    wᵀ S⁻¹ w of χ² away: chances are those of χ², or of the most that a quantity takes, if less.
-    σ are those of one normal number as unlikely; infinite where no pose belongs to a row.
+    The residuals r, (N, k), have covariances S. A slip of one standard deviation moves residuals by
+    its column w of the noise's root, and explains (wᵀ S⁻¹ r)² / wᵀ S⁻¹ w of χ². The p-value is that
+    of χ² or, if less, of the most that a quantity explains. σ is the size of a normal number as
+    unlikely; infinite where a row has no pose.
     """
     squares, equations = _squares(r, S), linear.equations[rows]
     w = np.nan_to_num(linear.white(linear.noise_root)[rows, :, : len(linear.problem.quantities)])
@@ -387,10 +387,10 @@ def _judged(r: Array, S: Array, linear: Linear, rows: Index | slice) -> tuple[Ar
 
 
 def _doubtful(fits: Fits) -> tuple[int, float] | None:
-    """Return the row that is farthest off what all others predict, and by how many σ; or None.
+    """Return the row farthest from its prediction by all others, and by how many σ; or None.
 
-    Of residuals r and orthonormal columns Q, a fit without a row leaves it (1 − Q Qᵀ)⁻¹ r, which
-    is its covariance, too; where no other row says anything, r is rounding, and S has a bound.
+    A fit without a row leaves it the residual (1 − Q Qᵀ)⁻¹ r, with orthonormal columns Q, and the
+    covariance (1 − Q Qᵀ)⁻¹. Where no other row determines it, r is rounding, and S is bounded.
     """
     fit = fits.fits[0]
     rows, r = np.flatnonzero(fit.good), fit.last.residuals[fit.good]

@@ -1,11 +1,11 @@
-"""Errors at rows held out of a fit: of all that was measured, and of targets in m and rad.
+"""Errors at rows held out of a fit: of all measured quantities, and of targets in m and rad.
 
-Held-out rows are predicted like those of the fit, whitened by their noise; of them more is
-expected by what the fit does not know: r has the covariance 1 + J C Jᵀ. What then exceeds the
-fit's own χ² says that the model follows its rows more closely than the machine. The calibrated
-machine goes where its readings take it; each target is predicted there and compared with what was
-measured, noise included. Intervals are by a bootstrap of poses (A. C. Davison and D. V. Hinkley
-1997): rows of one pose are one piece of evidence.
+Held-out rows are predicted like rows of the fit and whitened by their noise; with the parameters'
+uncertainty their residuals r have the covariance 1 + J C Jᵀ. An excess over the fit's own χ² says
+that the model follows its rows more closely than the machine. Errors of targets are those of the
+calibrated machine at its readings against the measurements, noise included. Intervals are by a
+bootstrap of poses (A. C. Davison and D. V. Hinkley 1997), since rows of one pose are one piece of
+evidence.
 """
 
 from __future__ import annotations
@@ -40,18 +40,17 @@ from pincal.types import Array, Index, Mask
 from pincal.words.findings import finding
 
 MISSES = 10.0
-"""Standard deviations by which a fit misses its own rows that is none, which held-out rows do not
-make worse."""
+"""Root mean square residual of a fit, in σ, above which it is no fit, and is not validated."""
 Predicted = list[tuple[Fit, Index, Linear]]
-"""Fits, rows held out of them, and residuals and derivatives at these."""
-_DRAWN, _CHOSEN = 1000, 2000  # misses of each fold; choices of poses for an interval
+"""Fits, rows held out of them, and residuals and derivatives at these rows."""
+_DRAWN, _CHOSEN = 1000, 2000  # draws of errors in each fold; bootstrap samples of poses
 
 
 @one_thread()
 def with_validation(
     result: CalibrationResult, folds: int = FOLDS, by: By = "region", fits: Fits | None = None
 ) -> CalibrationResult:
-    """Return what ``CalibrationResult.validated`` does; by the fits of all rows if at hand."""
+    """Return a validated result: see ``CalibrationResult.validated``; ``fits`` are of all rows."""
     fits = fits or converged(result.calibration, "the fit of all rows")
     validation, wrong = _held_out(fits, folds, by)
     codes = {remark.code for remark in result.findings}
@@ -62,9 +61,10 @@ def with_validation(
 
 
 def _held_out(fits: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]]:
-    """Return the errors at rows held out of fits, and rows to verify with that are wrong.
+    """Return the errors at rows held out of fits, and wrong verification rows.
 
-    Errors are without these and those that a robust loss rejects; folds serve if none is left.
+    Errors are without the wrong rows and rows that a robust loss rejects. Folds are used if no
+    verification row remains.
     """
     robust = fits.calibration.options.loss != "none"
     calibration = fits.calibration.with_options(loss="none")
@@ -89,7 +89,7 @@ def _held_out(fits: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]
 
 
 def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]]:
-    """Return errors at held-out rows, and the few rows to verify with that alone contradict."""
+    """Return errors at held-out rows, and the few verification rows that alone contradict."""
     calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
     _check_touched(calibration, groups)
@@ -101,7 +101,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     misses = {target: np.full(len(groups), np.nan) for target in at_fit}
     dof = fits_of_all.degrees_of_freedom
     chi2 = fits_of_all.chi2
-    # rows to verify with are in no fit, nor is what relates rows of two folds
+    # verification rows, and distances between rows of two folds, are in no fit
     open_ends = [(groups < 0).any(), calibration.observation.setup.between]
     total = None if any(open_ends) else chi2
     unit = 1.0 if calibration.noise.known else max(chi2 / max(dof, 1), 1e-300)
@@ -156,7 +156,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
 
 
 def held_rows(calibration: Calibration, rows: Mask) -> Calibration:
-    """Return the calibration on rows held out, measured from others, whose points the fit knows."""
+    """Return the calibration on held-out rows, distances measured to rows of the fit only."""
     held, every = calibration.rows(rows), calibration.measurements.contacts
     if ROW not in every:
         return held
@@ -170,10 +170,10 @@ def held_rows(calibration: Calibration, rows: Mask) -> Calibration:
 
 
 def _check_touched(calibration: Calibration, groups: Index) -> None:
-    """Raise if a point at an unknown place is touched by rows of one fold alone, groups (N,)."""
+    """Raise if a point at an unknown place is touched by rows of one fold only; groups are (N,)."""
     for column, point, contact in calibration.options.setup.touched.values():
         folds = np.unique(groups[np.array(calibration.measurements.contacts[column]) == point])
-        held = len(folds) == 1 and folds[0] >= 0  # rows that are in every fit have none
+        held = len(folds) == 1 and folds[0] >= 0  # rows in every fit have fold -1
         if held and column != ROW and contact.points[point] is None:
             raise MeasurementError(
                 f"{column} {point!r} is touched by rows alone that are held out together, and the "
@@ -184,7 +184,7 @@ def _check_touched(calibration: Calibration, groups: Index) -> None:
 def converged(
     calibration: Calibration, subject: str, near: Fits | None = None, rows: Mask | None = None
 ) -> Fits:
-    """Return fits that converge, or raise; the search begun near others, of some of their rows."""
+    """Return converged fits, or raise; the search begins near fits of which these are some rows."""
     fits = fitted(calibration, near, rows)
     if not fits.converged:
         raise MeasurementError(
@@ -194,12 +194,12 @@ def converged(
 
 
 def predictions(fits_of_all: Fits, held: Calibration) -> Predicted:
-    """Return fits, rows held out of them, and residuals and derivatives at these."""
+    """Return fits, rows held out of them, and residuals and derivatives at these rows."""
     if fits_of_all.latent:
         (fit,) = fits_of_all.fits
         problem, external = held.latent_problem, fit.last.state.external
         state = placed(problem, held.measurements, fit.parameters, external)
-        if problem.observation.setup.between:  # no pose is measured that could be near
+        if problem.observation.setup.between:  # poses are not measured, and may be anywhere
             readings, machine = held.measurements.readings, held.identified(fit.parameters)
             solution = forward(machine, readings, influences=held.influences)
             matrices = problem.platform.matrices(solution.poses)
@@ -215,10 +215,10 @@ def predictions(fits_of_all: Fits, held: Calibration) -> Predicted:
 
 
 def _sums(predicted: Predicted, count: int) -> Array:
-    """Return sums over all fits at each row held out of them, shape (count, 4).
+    """Return sums over all fits at each held-out row, shape (count, 4).
 
-    rᵀ (1 + J C Jᵀ)⁻¹ r; rᵀ r; tr(J C Jᵀ), by which the squares grow as the fits do not know all;
-    and the number of equations. Noise is of unit variance.
+    They are rᵀ (1 + J C Jᵀ)⁻¹ r; rᵀ r; tr(J C Jᵀ), the growth of rᵀ r by the parameters'
+    uncertainty; and the number of equations. Noise has unit variance.
     """
     sums = np.zeros((count, 4))
     for fit, rows, linear in predicted:
@@ -232,12 +232,12 @@ def _sums(predicted: Predicted, count: int) -> Array:
 
 
 def _drawn(fits: Fits, held: Calibration, linear: Linear, unit: float, seed: int) -> Misses:
-    """Return by how much targets may be missed at rows held out, (N, draws); see ``misses_of``.
+    """Return draws of errors of targets at held-out rows, (N, draws); see ``misses_of``.
 
-    Readings alone place the platform there: noise, of a scale squared, and what fits do not know
-    of parameters and frames go through the legs' rows to it, and from it to what was measured.
+    Readings place the platform there. The readings' noise, scaled by ``unit``, and the errors of
+    parameters and frames move it through the legs' rows, and the targets with it.
     """
-    if not fits.latent:  # a row that serves one leg shows by all of them where the platform is
+    if not fits.latent:  # at a row for one leg all legs place the platform
         problem = held.every_leg()
         start = placed(problem, held.measurements, fits.parameters, fits.external)
         linear = problem.evaluate(start)
@@ -259,9 +259,9 @@ def _drawn(fits: Fits, held: Calibration, linear: Linear, unit: float, seed: int
 
 
 def _limit(drawn: Sequence[Misses], target: tuple[str, str], variances: Array | None) -> float:
-    """Return below what the root mean square of a target's misses, of all folds, is at 95 %.
+    """Return the 95 % limit of a target's root mean square error over all folds.
 
-    They are as uncertain as the variances of its own unit, (draws, g); None if these are known.
+    ``variances``, (draws, g), are draws of the groups' variances; None if these are known.
     """
     folds = [fold[target] for fold in drawn if target in fold]
     squares = np.concatenate([np.zeros((0, _DRAWN)), *folds]) ** 2
@@ -279,7 +279,7 @@ def _strays(
     rows: Index,
     variances: Array | None,
 ) -> list[Outlier]:
-    """Return the few held-out rows that alone contradict, the worst first; none if others do."""
+    """Return the few held-out rows that alone contradict, the worst first, if others do not."""
     wrong, strays = suspected(sums[:, 0] / unit, sums[:, 3].astype(np.intp)), []
     few = 0 < wrong.sum() <= max(1.0, MANY_ROWS * len(wrong))
     if not few or _chance_of_rows(fits, predicted, variances, ~wrong) < UNLIKELY:
@@ -303,17 +303,17 @@ def _strays(
 
 
 def _chance(fits: Fits, inside: float, equations: float) -> float:
-    """Return the probability that rows miss a fit so far, or farther, if the model is right.
+    """Return the p-value of the residuals of held-out rows if the model is right.
 
-    χ² of all rows is larger than that of the rows fitted by a χ² of its own, independent of theirs;
-    an F test where the scale of the noise was estimated (G. C. Chow 1960).
+    χ² of all rows exceeds that of the fitted rows by an independent χ²; it is an F test where the
+    scale of the noise was estimated (G. C. Chow 1960).
     """
     dof, chi2 = fits.degrees_of_freedom, fits.chi2
     ratio, own_ratio = inside / max(equations, 1.0), chi2 / max(dof, 1)
     share = 1.0 if fits.latent else chi2_freedoms(fits.fits) / max(dof, 1)
     if fits.calibration.noise.known:
         _, known = noise_freedoms(fits)
-        if exceeded(own_ratio, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
+        if exceeded(own_ratio, share * dof, known) >= UNEXPLAINED:  # else the given noise is wrong
             return exceeded(ratio, share * equations, known)
     if not own_ratio > 0.0:
         return 1.0
@@ -321,10 +321,10 @@ def _chance(fits: Fits, inside: float, equations: float) -> float:
 
 
 def _chance_of_rows(fits: Fits, predicted: Predicted, variances: Array | None, rows: Mask) -> float:
-    """Return the probability of ``_chance`` to first order, which curvature spoils: of some rows.
+    """Return the p-value of some held-out rows to first order, in contrast to ``_chance``.
 
-    Where variances of groups were estimated without these rows, that of each draw, averaged:
-    squares are a sum of χ², like one of the same mean and variance (Satterthwaite 1946).
+    Where variances of groups were estimated without these rows, it is averaged over their draws;
+    the sum of squares is like a χ² of the same mean and variance (Satterthwaite 1946).
     """
     inside, equations, traces = 0.0, 0.0, np.zeros(1)
     parts = Moments.of(fits.fits, fits.noise.reading).parts
@@ -341,10 +341,10 @@ def _chance_of_rows(fits: Fits, predicted: Predicted, variances: Array | None, r
 
 
 def _variances_drawn(fits: Fits) -> Array | None:
-    """Return what variances of groups may be over the estimated ones, (draws, g); None if known.
+    """Return draws of the groups' variances over the estimated ones, (draws, g); None if known.
 
-    Scaled inverse χ² of 1 + 2 / v degrees of freedom, v the relative variance of an estimate: what
-    is assumed beforehand says as much as one. They are as correlated as estimates are.
+    They are scaled inverse χ² of 1 + 2 / v degrees of freedom, where v is the relative variance of
+    an estimate and 1 is for the assumptions, with the correlation of the estimates.
     """
     if fits.variances is None:
         return None
@@ -357,12 +357,12 @@ def _variances_drawn(fits: Fits) -> Array | None:
 
 
 def least_of_folds(chances: Sequence[float]) -> float:
-    """Return the probability that the least of folds' is so small, by chance (Šidák 1967)."""
+    """Return the p-value of the least p-value of all folds (Šidák 1967)."""
     return float(bdtrc(0, len(chances), min(chances)))
 
 
 def missed(target: str, unit: str, fitted: Array, held: Array, places: Array) -> Missed:
-    """Return how far a target is missed, shape (N,), at rows of the fit and at those held out."""
+    """Return the errors of a target by its errors (N,) at rows of the fit and at held-out rows."""
     known = np.isfinite(held)
     values, (_, pose) = held[known], np.unique(places[known], return_inverse=True)
     return Missed(
@@ -378,7 +378,7 @@ def missed(target: str, unit: str, fitted: Array, held: Array, places: Array) ->
 
 
 def _ends(values: Array, pose: Index) -> tuple[float, float]:
-    """Return ends of the interval of the root mean square of misses, (N,), by their poses, (N,)."""
+    """Return the interval of the root mean square of values (N,) by a bootstrap of poses (N,)."""
     sums = np.stack([np.bincount(pose, values**2), np.bincount(pose)])
     poses = sums.shape[1]
     if poses < 2:
