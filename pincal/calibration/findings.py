@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pincal.calibration.fits import Fits
+from pincal.calibration.hypotheses.photos import moved_cameras
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.courses import Score, scores
@@ -48,6 +49,7 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     if result.converged:
         noise = noise or _proportion(fits)
         lacks = lacking(fits)
+    lacks = moved_cameras(fits) or lacks
     outliers, total = result.outliers, len(result.measurements)
     wrong = [outlier.row for outlier in outliers]
     if len(wrong) > MANY_ROWS * total:

@@ -182,6 +182,24 @@ def _with_estimated_noise(fits: Fits) -> Fits:
     return replace(fits, fits=widened, variances=variances)
 
 
+def with_misfit_as_noise(fits: Fits) -> Fits:
+    """Return fits at the noise that residuals show, what the machine lacks being its readings'."""
+    assumed = assumed_noise(fits.calibration.mechanism, exact=False)
+    sizes = zip(vars(fits.noise).values(), vars(assumed).values(), strict=True)
+    begin = _at_noise(fits, Noise(*(size or other for size, other in sizes)))
+    return _at_noise(begin, _noise_of(begin, assumed, None, exact=False))
+
+
+def _at_noise(fits: Fits, noise: Noise) -> Fits:
+    """Return fits at other noise, to first order: they need no new search."""
+    calibration, refits = fits.calibration.with_noise(noise), list[Fit]()
+    for fit in fits.fits:
+        names = [leg.name for leg in fit.problem.legs]
+        measured = None if fits.latent else calibration.measured_problem(names)[0]
+        refits.append(fit.at_noise_of(measured or calibration.latent_problem))
+    return replace(fits, calibration=calibration, fits=refits)
+
+
 def _again(fits: Fits, noise: Noise) -> Fits:
     """Return fits at other noise, begun where these ended."""
     calibration = fits.calibration.with_noise(noise)
@@ -191,7 +209,7 @@ def _again(fits: Fits, noise: Noise) -> Fits:
 def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> Noise:
     """Return the noise that the residuals of fits show, under the assumptions on its groups.
 
-    It is estimated in turn with the fits at that noise, to first order without a new search.
+    It is estimated in turn with the fits at that noise.
     """
     for _ in range(ROUNDS):
         fits = replace(fits, fits=with_exact_readings(fits.fits, fits.noise, assumed))
@@ -199,12 +217,7 @@ def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> No
         estimate = estimated_noise(moments, noise, unit, assumed, exact=exact, tie=tie)
         if moments.rounding or _agree(noise, estimate):
             break
-        calibration, refits = fits.calibration.with_noise(estimate), []
-        for fit in fits.fits:
-            names = [leg.name for leg in fit.problem.legs]
-            measured = None if fits.latent else calibration.measured_problem(names)[0]
-            refits.append(fit.at_noise_of(measured or calibration.latent_problem))
-        fits = replace(fits, calibration=calibration, fits=refits)
+        fits = _at_noise(fits, estimate)
     scale = moments.scale**0.5 or 1.0  # differs from 1 because of the assumptions
     return Noise(*(scale * value for value in vars(fits.noise).values()))
 

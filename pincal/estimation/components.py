@@ -262,6 +262,8 @@ def _of_groups(linear: Linear, reading: float) -> Array:
     by_reading[:, :n_legs] = linear.by_measured
     by_reading[~problem.active] = 0.0
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
+    if problem.latent:  # what was not measured is not noise of its group
+        W = np.where(problem.active[:, None, n_legs:], W, 0.0)
     units = np.array([*problem.quantities.values()][n_readings:], dtype=str)
     of_groups = [W[:, :, units == unit] for unit in GROUPS]
     of_groups.insert(_R, linear.white(reading * by_reading))

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.fits import fitted
+from pincal.calibration.fits import Fits, fitted, with_misfit_as_noise
 from pincal.errors import MisfitError, PincalError
+from pincal.estimation.observability.residuals import Residuals
 from pincal.estimation.solver import solve_poses
-from pincal.estimation.system import LOSSES, robust_scale, suspected
+from pincal.estimation.system import FALSE_ALARM, LOSSES, robust_scale, suspected
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.instruments.camera import Camera, Markers
@@ -77,6 +78,43 @@ def boards_behind(
         if np.nanmedian(camera.facing(matrices, of_camera)[seen]) < 0.0:
             behind[camera.markers.name] = None
     return tuple(finding("board-behind", board=name) for name in behind)
+
+
+def moved_cameras(fits: Fits) -> list[Finding]:
+    """Return which camera stands elsewhere from some row on, if one does: the clearest.
+
+    What the machine lacks is noise of its readings then, estimated: it is no camera's.
+    """
+    return _step(with_misfit_as_noise(fits)) if _step(fits) else []
+
+
+def _step(fits: Fits) -> list[Finding]:
+    """Return the clearest step of a camera, by how far what it sees is off then, as a finding.
+
+    Root mean square over points; a step by less than the noise of a point is none.
+    """
+    fit, cases = fits.fits[0], list[tuple[float, float, str, int, Array]]()
+    cameras = [camera for camera in _cameras(fits.calibration) if not camera.known]
+    if not cameras:
+        return []
+    linear, ids, residuals = fit.last, fit.unknowns.labels, Residuals.of(fit)
+    for camera in cameras:
+        columns = [ids.index(number.id) for number in camera.parameters[:6]]
+        J = linear.jacobian[fit.good][:, :, columns]
+        even = np.linalg.pinv(np.linalg.qr(J.reshape(-1, 6), mode="r"))  # all six as large
+        row, _, step = residuals.step(J @ even)
+        moved = linear.by_parameter[row:][:, :, columns] @ (even @ step.values)
+        cases.append((step.p_value * len(cameras), -step.inside, camera.name, row, moved))
+    p_value, _, name, row, moved = min(cases, key=lambda case: case[:2])
+    observation = fit.problem.observation.at(np.arange(row, len(fit.rows)))
+    metres = observation.metres_per_pixel(linear.state.matrices[row:], linear.state.external)
+    pixels = moved[:, -metres.shape[1] :]
+    seen = pixels != 0.0
+    if p_value >= FALSE_ALARM or not np.mean((pixels[seen] / observation.sigma[seen]) ** 2) > 1.0:
+        return []
+    off = float(np.sqrt(2.0 * np.mean((pixels * metres)[seen] ** 2)))
+    quantity, rows = f"what camera {name} sees", (int(fit.rows[row]),)
+    return [finding("step", rows, quantity=quantity, size=off, unit="m", p_value=p_value)]
 
 
 def _explaining(

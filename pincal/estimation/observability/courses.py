@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from math import hypot
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -37,7 +36,7 @@ class Score(NamedTuple):
 
     quantity: str
     """Reading or measured quantity, as ``Problem.quantities`` names it; all ``"readings"`` or
-    ``"positions"``, the ``"lengths"`` of the legs, or ``"camera …"`` for a camera's place."""
+    ``"positions"``, or the ``"lengths"`` of the legs."""
     term: str
     """``"angle"``, ``"pose"``, ``"order"``, ``"approach"``, ``"step"`` or ``"again"``."""
     p_value: float
@@ -102,12 +101,11 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
             correlation = residuals.alike_after(course, peers)
         share = followed.inside / residuals.chi2
         results.append(Score(quantity, term, followed.p_value, share, correlation=correlation))
-    for name, error in {**errors, **_of_cameras(fit, used)}.items():
+    for name, error in errors.items():
         row, after, step = residuals.step(error)
-        correlation, (size, *others) = 0.0, (-step.values[:3]).tolist()
+        correlation, size, share = 0.0, -float(step.values[0]), step.inside / residuals.chi2
         if step.p_value < FALSE_ALARM:
-            correlation = residuals.alike_after(after, of_kind[kinds.get(name, (False, "px"))])
-        size, share = hypot(size, *others) if others else size, step.inside / residuals.chi2
+            correlation = residuals.alike_after(after, of_kind[kinds[name]])
         results.append(Score(name, "step", step.p_value, share, row, size, correlation=correlation))
     for name, error in errors.items():
         for place, rows in (repeated or {}).items():
@@ -172,17 +170,6 @@ def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
     errors = np.where(fit.problem.active[:, :, None], errors, 0.0)
     white = fit.last.white(errors)[used].transpose(2, 0, 1)[..., None]
     return dict(zip(fit.problem.quantities, white, strict=False))
-
-
-def _of_cameras(fit: Fit, used: Index) -> dict[str, Array]:
-    """Return the white rows of the poses of cameras, by name, (n_used, m, 6)."""
-    names, by_place = fit.unknowns.labels, {}
-    for camera in fit.problem.observation.setup.instruments:
-        own = [f"{camera.name}.{number}" for number in ("x", "y", "z", "rx", "ry", "rz")]
-        if {*own} <= {*names}:
-            columns = [names.index(number) for number in own]
-            by_place[f"camera {camera.name}"] = fit.last.jacobian[used][:, :, columns]
-    return by_place
 
 
 def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
