@@ -23,7 +23,7 @@ LINES = {
     "formats": 3_515,
     "instruments": 1_579,
     "kinematics": 3_386,
-    "model": 3_611,
+    "model": 3_610,
     "show": 4_228,
     "symmetry": 1_374,
     "words": 951,

@@ -316,11 +316,11 @@ def test_a_folder_holds_terms_of_parameters(tmp_path: Path) -> None:
     [
         ("k: {a: {of: warmth}}", "give the term to the sensor"),
         ("z: {a: {of: warmth}}", "no placement has such a parameter; expected one of OA, beta"),
-        ("L: {a: {sine: 2}}", "depends on a reading; a parameter's depends on an influence"),
-        ("L: {a: {of: approach}}", "which is a joint's"),
+        ("L: {a: {sine: 2}}", "depends on a reading; a parameter's term depends on an influence"),
+        ("L: {a: {of: approach}}", "which only joints have"),
         ("L: {l: {of: warmth}}", "its amplitude is also a parameter of a placement"),
         ("L: {a: {of: warmth, per: 0}}", "parameter 'L', term 'a': an influence's share"),
-        ("L: {b: {of: warmth}}", "'b' is used in a placement or the sensor but has no nominal"),
+        ("L: {b: {of: warmth}}", "'b' is used in a placement or a sensor but has no nominal"),
         ("L: {of: warmth}", "legs"),
     ],
 )

@@ -265,7 +265,7 @@ def test_legs_share_no_platform_point_with_parameters() -> None:
 def test_leg_names_do_not_collide_with_the_platforms_file(folder: Path) -> None:
     """A leg called 'platform' is refused."""
     edit(folder, (YAML, "- name: leg_1", "- name: platform"))
-    with pytest.raises(MechanismError, match="'platform' names the platform's file"):
+    with pytest.raises(MechanismError, match="a leg is named 'platform'"):
         pincal.load_mechanism(folder)
 
 

@@ -238,7 +238,7 @@ def test_coordinates_of_any_kind_are_its_poses(freedoms: tuple[str, ...]) -> Non
 @pytest.mark.parametrize(
     ("freedoms", "said"),
     [
-        (("x", "rx", "ry"), "turns about two axes are turns about a third as well"),
+        (("x", "rx", "ry"), "turns about two axes include turns about the third"),
         (("x", "z"), "moves along x, along x and y, or along x, y and z"),
         (("rz", "x"), "expected some of x, y, z, rx, ry, rz, in this order"),
         (("x", "x"), "expected some of"),

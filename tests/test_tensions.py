@@ -78,7 +78,7 @@ def test_tensions_need_cables(tmp_path: Path) -> None:
         pincal.tensions(plain, [plain.platform.home])
     with pytest.raises(pincal.MechanismError, match="leg_1 is none"):
         replace(pincal.load_mechanism("delta"), cables=pincal.Cables(1.0, 2.0))
-    with pytest.raises(pincal.MechanismError, match="expected a least"):
+    with pytest.raises(pincal.MechanismError, match="expected 'least'"):
         pincal.Cables(2.0, 1.0)
     robot = replace(plain, cables=pincal.Cables(1.0, 200.0))
     assert pincal.load_mechanism(robot.save(tmp_path / "box")).cables == robot.cables

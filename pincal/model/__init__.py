@@ -1,1 +1,1 @@
-"""What a mechanism is and how it is written down; no kinematics."""
+"""Data model: mechanisms, legs, platforms, sensors and measurements; no kinematics."""

@@ -1,4 +1,4 @@
-"""What people hand over is checked once, where an object is made; and how it is described."""
+"""Checks of user input, called where objects are made, and descriptions of values in messages."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from pincal.errors import PincalError
 from pincal.types import Array, Point
 
 LARGEST = 1e12
-"""Size of a mechanism's numbers, [m] or [rad]: larger ones are slips, their squares overflow."""
+"""Largest number of a mechanism, [m] or [rad]: larger ones are slips, their squares overflow."""
 ROUNDING = 1e-12
-"""Of the sizes that a number is made of, and angles [rad]: what rounding errors may reach."""
+"""Bound of rounding errors, relative to the numbers that went in, and of angles in [rad]."""
 EXACT = 1e-9
-"""Of lengths relative to the size, and of unit vectors: what agrees so far is equal."""
+"""Tolerance within which two lengths, relative to the size, or two unit vectors are equal."""
 ALIKE = 1e-6
-"""Of the size: what agrees so far is the same place, though digits were cut in between."""
-
+"""Tolerance, relative to the size, within which two places are the same although a file in between
+cut their digits."""
 
 ROWS = 30
-"""Of a table or list on a printed page; those that follow are counted."""
+"""Largest number of rows that a printed table or list shows; the rest are only counted."""
 _WIDTH = 118  # of a line
 
 
 def described(value: object) -> str:
-    """Return a thing's type, with its shape or a short value, for a message."""
+    """Return an object's type, with its shape or a short value, for a message."""
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} and type {value.dtype}"
     if value is None or isinstance(value, bool | int | float | str):
@@ -37,18 +37,18 @@ def described(value: object) -> str:
 
 
 def one_line(kind: str, *parts: str) -> str:
-    """Return ``Kind(part, part)``, on one line and not longer than it may be."""
+    """Return ``Kind(part, part)`` on one line, without empty parts, cut where it is too long."""
     text = f"{kind}({', '.join(part for part in parts if part)})"
     return text if len(text) <= _WIDTH else f"{text[: _WIDTH - 2]}…)"
 
 
 def triple(values: Iterable[float]) -> str:
-    """Return numbers in brackets."""
+    """Return numbers in parentheses, with four significant digits."""
     return f"({', '.join(f'{value:.4g}' for value in values)})"
 
 
 def counted(count: int, singular: str) -> str:
-    """Return a number of things: ``1 row``, ``2 rows``."""
+    """Return a count with its noun: ``1 row``, ``2 rows``."""
     return f"{count} {singular}" + "s" * (count != 1)
 
 
@@ -65,8 +65,8 @@ def array_of(
 ) -> Array:
     """Return values as an array of float64, always a copy, which its owner may change.
 
-    ``shape`` has numbers where the size is known, letters where it is free; ``name`` heads the
-    message of the error, of the given type, for what is no array of numbers of that shape.
+    ``shape`` has numbers where the size is known, letters where it is free. Values that are no
+    array of numbers of that shape raise an error of the given type, headed by ``name``.
     """
     expected = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
     if isinstance(values, str | bytes | Mapping) or values is None:
@@ -89,7 +89,7 @@ def array_of(
 
 
 def names_of(values: Any, count: int, label: str, error_type: type[PincalError]) -> tuple[str, ...]:
-    """Return names, one a row, as a tuple; raise an error of the given type for others."""
+    """Return ``count`` names as a tuple; raise an error of the given type for anything else."""
     if isinstance(values, str) or not isinstance(values, Iterable):
         raise error_type(f"{label}: expected {count} names, one a row; got {described(values)}")
     names = tuple(values)
@@ -108,7 +108,7 @@ def number_of(value: Any, name: str, error_type: type[PincalError]) -> float:
 
 
 def numbers_of(values: Any, name: str, error_type: type[PincalError]) -> Array:
-    """Return values as an array of float64, of whatever shape; or raise an error of the type."""
+    """Return values of any shape as an array of float64; or raise an error of the given type."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as fault:
@@ -127,7 +127,7 @@ def count_of(
 
 
 def generator_of(seed: Any, error_type: type[PincalError]) -> np.random.Generator:
-    """Return the generator of random numbers of a seed, or as it is given."""
+    """Return the random generator of a seed; a generator is returned as it is."""
     try:
         return np.random.default_rng(seed)
     except (TypeError, ValueError) as fault:
@@ -143,9 +143,9 @@ def must_be(
     error_type: type[PincalError],
     expected: str = "",
 ) -> Any:
-    """Return a value that is of a kind; or raise an error of the given type.
+    """Return the value if it is an instance of a type; or raise an error of the given type.
 
-    It says what was expected: the types, if nothing else is given.
+    The message says what was ``expected``, by default the names of the types.
     """
     if not isinstance(value, kind):
         special = {type(None): "None", np.ndarray: "an array"}
@@ -159,7 +159,7 @@ def must_be(
 
 
 def wrapped(angles: Array) -> Array:
-    """Return angles in [-pi, pi), or beside its ends by rounding."""
+    """Return angles wrapped to [-pi, pi), up to rounding at its ends, [rad]."""
     turn = 2 * np.pi
     with np.errstate(invalid="ignore"):
         return np.asarray(angles - turn * np.floor((angles + np.pi) / turn))  # no slow remainder
@@ -168,7 +168,7 @@ def wrapped(angles: Array) -> Array:
 def check_sizes(
     owner: object, names: Iterable[str], label: str, error_type: type[PincalError]
 ) -> None:
-    """Make fields of an object numbers; raise an error of the given type for any below 0."""
+    """Convert fields of an object to numbers; raise an error unless each is finite and >= 0."""
     for name in names:
         value = number_of(getattr(owner, name), f"the {label} {name}", error_type)
         object.__setattr__(owner, name, value)
@@ -177,13 +177,13 @@ def check_sizes(
 
 
 def set_point(owner: object, name: str, label: str, error_type: type[PincalError]) -> None:
-    """Make a field of an object three numbers; or raise an error of the given type."""
+    """Convert a field of an object to three floats; or raise an error of the given type."""
     point = array_of(getattr(owner, name), (3,), label, error_type)
     object.__setattr__(owner, name, tuple(point.tolist()))
 
 
 def named_points(values: Any, label: str, error_type: type[PincalError]) -> dict[str, Point | None]:
-    """Return points by name, None for unknown ones; or raise an error of the given type."""
+    """Return points by name, None for an unknown point; or raise an error of the given type."""
     points = dict(must_be(values, Mapping, f"points of {label}", error_type))
     if not points:
         raise error_type(f"{label}: no points; name those that it has")

@@ -1,4 +1,4 @@
-"""What must agree in a leg and in a mechanism: checked where they are made, or read."""
+"""Consistency checks of legs and mechanisms, run whenever one is made or read from a file."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from pincal.model.mechanism import Mechanism
     from pincal.model.platform import Platform
 
-#: Columns of tables that mean something else than a reading.
+#: Names of table columns that no reading may have.
 RESERVED = {"x", "y", "z", "phi", "set", "run", "pose"} | {
     name for names, _ in WAYS.values() for name in names
 }
 
 ROUGH = 0.1
-"""Of the size: what is drawn and misses by more is wrong, not rough."""
+"""Largest gap at home, relative to the leg's size, of a drawing that is rough but not wrong."""
 
 
 def identifiers(names: Iterable[str]) -> tuple[str, ...]:
-    """Return names of ASCII letters, digits and underscores for joints, no two alike.
+    """Return a unique identifier of ASCII letters, digits and underscores for each joint name.
 
-    They head columns and stand in code; what a joint is called in a file stays its own name.
+    Identifiers head columns and stand in code; the joints keep the names that files give them.
     """
     taken: list[str] = []
     for name in names:
@@ -48,7 +48,7 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_leg(leg: Leg) -> None:
-    """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
+    """Raise MechanismError if a leg's joints, sensors, parameters and terms are inconsistent."""
     topics = (_joint_faults, _tree_faults, _gear_faults, _term_faults, _parameter_faults)
     for fault in chain.from_iterable(faults(leg) for faults in topics):
         raise MechanismError(f"{leg.name}: {fault}")
@@ -57,7 +57,7 @@ def check_leg(leg: Leg) -> None:
 
 
 def _joint_faults(leg: Leg) -> Iterator[str]:
-    """Yield what is wrong with joints, their limits and names, and with which have sensors."""
+    """Yield faults of the joints' limits and names, and of the sensors' choice of joints."""
     for joint in leg.moving:
         ends = (joint.lower, joint.upper)
         limits = np.isfinite(ends).all() or (joint.turns and np.isinf(ends).all())
@@ -76,29 +76,29 @@ def _joint_faults(leg: Leg) -> Iterator[str]:
             f"{', '.join(moving)}"
         )
     if len(set(read)) != len(read):
-        yield f"its sensors read {', '.join(read)}; expected each to read another joint"
+        yield f"its sensors read {', '.join(read)}; expected each to read a different joint"
 
 
 def _tree_faults(leg: Leg) -> Iterator[str]:
-    """Yield what is wrong with how joints hang on each other, and with further ends."""
+    """Yield faults of the joints' parents and of the leg's further ends."""
     names = [joint.name for joint in leg.joints]
     for place, joint in enumerate(leg.joints):
         if joint.parent and joint.parent not in names[:place]:
-            yield f"joint {joint.name!r} hangs on {joint.parent!r}, which is no joint before it"
+            yield f"joint {joint.name!r} has the parent {joint.parent!r}; expected an earlier joint"
     for end in leg.ends:
         if unknown := [name for name in end.frames if name not in names]:
-            yield f"an end is at {unknown[0]!r}, which is no joint of the leg"
+            yield f"an end is at joint {unknown[0]!r}, which the leg does not have"
         if not isinstance(end.closes, str) and not (
             end.point is None and set(end.closes) <= set(TWIST)
         ):
             yield (
                 f"the end at {end.tip!r} closes {', '.join(end.closes)}; expected 'point' or "
-                f"'frame', or of a loop within the leg some of {', '.join(TWIST)}"
+                f"'frame', or for a loop within the leg some of {', '.join(TWIST)}"
             )
 
 
 def _gear_faults(leg: Leg) -> Iterator[str]:
-    """Yield which joints follow others, and cannot."""
+    """Yield faults of joints that follow another joint, and of their ratios."""
     moving = {joint.name for joint in leg.moving}
     for joint in leg.articulated:
         if joint.leader.joint not in moving or not abs(joint.leader.ratio) > 0.0:
@@ -109,35 +109,33 @@ def _gear_faults(leg: Leg) -> Iterator[str]:
     for joint in (joint for joint in leg.joints if joint.ratio):
         ratio = leg.nominal_by_name.get(joint.ratio)
         if not joint.follows or ratio != joint.leader.ratio:
-            yield f"joint {joint.name!r} follows none by the parameter {joint.ratio!r}, {ratio}"
+            yield f"joint {joint.name!r} follows no joint by {joint.ratio!r}, nominally {ratio}"
         if joint.ratio in leg.deformed:
-            yield f"parameter {joint.ratio!r} is the ratio of gears, and has no terms"
+            yield f"parameter {joint.ratio!r} is a gear ratio; a gear ratio can have no terms"
 
 
 def _parameter_faults(leg: Leg) -> Iterator[str]:
-    """Yield what is wrong with a leg's parameters: their names, their values, and gains."""
+    """Yield faults of a leg's parameters: names, nominal values, and gains of sensors."""
     used, declared = set(leg.units), leg.parameter_names
     if len(set(declared)) != len(declared):
         yield f"parameter names repeat: {list(declared)}"
     for name in (*sorted(used.difference(declared)), *sorted(set(declared) - used)):
         yield f"parameter {name!r} is used " + (
-            "in a placement or the sensor but has no nominal value under 'parameters'"
+            "in a placement or a sensor but has no nominal value under 'parameters'"
             if name in used
-            else "by no placement and not by the sensor; name it in one of them or remove it"
+            else "by no placement and no sensor; name it in one of them or remove it"
         )
     if not np.isfinite(leg.nominal).all():
         yield "a nominal parameter is not a finite number"
     for sensor in leg.sensors:
         gain, _ = sensor.constants(leg.nominal_by_name)
         if not 1.0 / LARGEST <= abs(gain) <= LARGEST:
-            yield (
-                f"the sensor's gain is {gain:g}; expected one that is neither zero nor more than "
-                f"{LARGEST:g} times too small or large"
-            )
+            limits = f"±{1.0 / LARGEST:g} to ±{LARGEST:g}"
+            yield f"the sensor's gain is {gain:g}; expected a number other than zero, {limits}"
 
 
 def _term_faults(leg: Leg) -> Iterator[str]:
-    """Yield why a term of a leg's sensors or parameters cannot be one."""
+    """Yield faults of the terms of a leg's sensors and parameters."""
     constants = {name for sensor in leg.sensors for name in (sensor.gain, sensor.offset)}
     of_sensors = constants.difference(leg.placed)
     owners = [
@@ -149,8 +147,8 @@ def _term_faults(leg: Leg) -> Iterator[str]:
         for wrong, fault in (
             (
                 name in of_sensors,
-                ": that is the sensor's, whose position terms are added to as it is; give the term "
-                "to the sensor (sensors: terms)",
+                ": that is a gain or offset, and terms are added to the joint's position, not to "
+                "these; give the term to the sensor (sensors: terms)",
             ),
             (
                 name not in leg.placed,
@@ -159,13 +157,13 @@ def _term_faults(leg: Leg) -> Iterator[str]:
             ),
             (
                 not term.of,
-                " depends on a reading; a parameter's depends on an influence: of a column such as "
-                "'temperature', or of 'load'",
+                " depends on a reading; a parameter's term depends on an influence: a column such "
+                "as 'temperature', or 'load'",
             ),
             (
                 term.of == APPROACH,
-                " depends on the side of approach, which is a joint's; give the term to a sensor, "
-                "or name a column of your own",
+                " depends on the side of approach, which only joints have; give the term to a "
+                "sensor, or name a column of your own",
             ),
         ):
             if wrong:
@@ -175,35 +173,36 @@ def _term_faults(leg: Leg) -> Iterator[str]:
     for owner, term, unit in owners:
         context = f"term {term.parameter!r} of {owner}: its amplitude"
         if term.parameter in leg.placed or term.parameter in constants:
-            yield f"{context} is also a parameter of a placement or sensor; name it otherwise"
+            yield f"{context} is also a parameter of a placement or sensor; rename one of them"
         if units.setdefault(term.parameter, unit) != unit:
             yield (
                 f"{context}, [{unit}], is also that of another term, [{units[term.parameter]}]; "
-                "name one of them otherwise"
+                "rename one of them"
             )
 
 
 def check_mechanism(mechanism: Mechanism) -> None:
-    """Raise MechanismError if the legs, their names and what weighs on them do not go together."""
+    """Raise MechanismError if the legs, the names of columns and the load are inconsistent."""
     title = mechanism.name
     if not (title and title.isprintable() and len(title) <= 100):
-        raise MechanismError(f"{title!r} is no name for a mechanism")
+        raise MechanismError(f"mechanism name {title!r}: expected 1 to 100 printable characters")
     for fault in _name_faults(mechanism):
         raise MechanismError(f"mechanism {title!r}: {fault}")
     for leg in mechanism.legs if mechanism.cables else ():
         if (leg.reading_units, leg.closes) != (("m",), "point"):
             raise MechanismError(
-                f"tensions are of cables, and {leg.name} is none; expected a line that is read"
+                f"limits of tensions need cables, and {leg.name} is none; expected a leg that "
+                "closes a point and whose only sensor reads a length"
             )
     for fault in _leg_faults(mechanism):
         raise MechanismError(fault)
 
 
 def _name_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield what is wrong with names: of legs, of columns of tables, of parameters of loads."""
+    """Yield faults of the names of legs, of table columns, and of parameters in the load."""
     names, readings = mechanism.leg_names, mechanism.reading_names
     if not readings:
-        yield "no joint of its legs is read" if names else "it has no legs"
+        yield "no joint of its legs has a sensor" if names else "it has no legs"
     if len(set(names)) != len(names):
         yield f"leg names repeat: {list(names)}"
     for name in readings:
@@ -215,28 +214,28 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
     for name in mechanism.influences:
         if name in RESERVED or name in readings:
             yield (
-                f"a term depends on {name!r}, which is another column of tables; name the "
-                "influence otherwise"
+                f"a term depends on {name!r}, which is another column of tables; rename the "
+                "influence"
             )
         if not re.fullmatch(r"(?!sigma_)[^][\s]([^][]*[^][\s])?", name):
             yield (
-                f"a term depends on {name!r}, which heads no column of a table; expected a name "
-                "such as temperature: no brackets, no blanks around it, not sigma_…"
+                f"a term depends on {name!r}, which cannot head a column of a table; expected a "
+                "name such as temperature, without brackets, outer blanks, or a leading sigma_"
             )
     if len(set(readings)) != len(readings):
         yield (
-            f"names of readings repeat: {', '.join(readings)}; a leg's only sensor is named after "
-            "the leg, several ones after their joints"
+            f"names of readings repeat: {', '.join(readings)}; a reading has its leg's name, or "
+            "its joint's if the leg has several sensors: rename a leg or joint"
         )
     if "platform" in names:
-        yield "'platform' names the platform's file; name the leg otherwise"
+        yield "a leg is named 'platform', as is the platform's file; rename the leg"
     drawn = dict(mechanism.load.drawn) if mechanism.load else {}
     if unknown := sorted(set(drawn).difference(mechanism.parameters.ids)):
-        yield f"the load's drawing has {unknown[0]!r}, which is no parameter"
+        yield f"the load's 'drawn' names {unknown[0]!r}, which is no parameter of the mechanism"
 
 
 def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield which legs share a point that is not one, demand nothing, or leave the plane."""
+    """Yield faults of legs: shared points that differ, no equations, leaving the plane."""
     points: dict[str, tuple[Leg, Joint]] = {}
     for leg in mechanism.legs:
         for point in leg.points:
@@ -250,9 +249,9 @@ def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
                 )
         if mechanism.platform.equations(leg) <= 0:
             yield (
-                f"{leg.name} has {len(leg.passive)} passive joints for "
-                f"{mechanism.platform.rows(leg)} rows of its closure: it demands "
-                "nothing of the platform; read another of its joints, or leave it out"
+                f"{leg.name} has {len(leg.passive)} passive joints and its closure "
+                f"{mechanism.platform.rows(leg)} equations, so it does not constrain the "
+                "platform; put a sensor on another of its joints, or remove the leg"
             )
         for joint in leg.joints if mechanism.platform.space == 2 else ():
             across = abs(abs(joint.placement.origin()[2, 2]) - 1.0) <= EXACT
@@ -269,8 +268,8 @@ def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
 def check_home(leg: Leg, platform: Platform) -> None:
     """Raise MechanismError if a leg is open at home by more than a tenth of its size.
 
-    Such a home does not fix the side on which the leg bends. Of an angle of more than a full turn
-    it asks whether it is degrees.
+    Such a home does not fix the side on which the leg bends. The message asks whether an angle of
+    more than a full turn is in degrees.
     """
     gap, turn = home_gap(leg, platform)
     if max(gap, turn) <= ROUGH * leg.size:
@@ -298,9 +297,9 @@ def check_home(leg: Leg, platform: Platform) -> None:
 
 
 def home_gap(leg: Leg, platform: Platform) -> tuple[float, float]:
-    """Return by how much a leg is open at home, and turned if it closes a frame, times its size.
+    """Return the largest closure errors, in position and orientation, of a leg's ends at home, [m].
 
-    Both in [m].
+    An angle counts times the leg's size; ends that close no frame have none.
     """
     links, gap, turn = leg.link_placements(leg.home[None])[0], 0.0, 0.0
     for end in leg.every_end:

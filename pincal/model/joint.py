@@ -1,4 +1,4 @@
-"""A joint of a leg, what it follows, and an end: where joints meet the platform or each other."""
+"""Joints of a leg, gears between them, and ends, where a leg meets the platform or itself."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Closing = Literal["point", "frame"]
 
 
 class Follows(NamedTuple):
-    """Gears: a joint's position is ratio times that of another one, plus an offset.
+    """Gear: the joint's position is ``ratio`` times another joint's position, plus ``offset``.
 
     >>> import pincal
     >>> pincal.Joint("elbow", "revolute", follows=pincal.Follows("shoulder", -2.0))
@@ -27,10 +27,10 @@ class Follows(NamedTuple):
     """
 
     joint: str
-    """Name of the joint that is followed, which moves on its own."""
+    """Name of the joint that is followed; it must move on its own."""
     ratio: float = 1.0
     offset: float = 0.0
-    """[rad] or [m]."""
+    """Position of the follower while the followed joint is at zero, [rad] or [m]."""
 
 
 @dataclass(frozen=True)
@@ -41,22 +41,22 @@ class Joint:
     kind: JointKind
     placement: Placement = field(default_factory=Placement)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Unit axis in the joint's own frame; no meaning where fixed."""
+    """Unit axis in the joint's own frame; a fixed joint ignores it."""
     lower: float = -2 * np.pi
     upper: float = 2 * np.pi
-    """Limits, [rad] or [m]."""
+    """Limits of the position, [rad] or [m]."""
     home: float = 0.0
     """Position in the home configuration, [rad] or [m]; fixes the working mode."""
     mass: float = 0.0
-    """Of the link behind the joint, [kg]."""
+    """Mass of the link that the joint carries, [kg]."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of that mass, in the joint's own frame, [m]."""
+    """Centre of that mass, in the joint's own frame, [m]."""
     parent: str | None = None
-    """Joint of the leg whose link carries this one: the one before if not given, "" the base."""
+    """Name of the joint whose link carries this joint: by default the joint before; "" the base."""
     follows: Follows | None = None
-    """Joint of the leg that it moves with, if it does not move on its own; then it has no home."""
+    """Gear to another joint, if the joint does not move on its own; ``home`` is then ignored."""
     ratio: str = ""
-    """Parameter that is the ratio of what it follows; empty if that is a constant."""
+    """Name of the parameter that is the gear's ratio; empty if the ratio is a constant."""
 
     def __repr__(self) -> str:
         place = f"at {self.placement!r}" if self.placement != Placement() else ""
@@ -70,26 +70,26 @@ class Joint:
 
     @property
     def limited(self) -> bool:
-        """Whether the limits bar some position: a range of a full turn or more bars none."""
+        """Whether the limits exclude a position: a revolute range of a full turn excludes none."""
         turns = self.kind == "revolute" and self.upper - self.lower >= 2 * np.pi
         return self.kind != "fixed" and not turns
 
     @property
     def turns(self) -> bool:
-        """Whether positions are angles."""
+        """Whether the joint is revolute: its positions are angles."""
         return self.kind == "revolute"
 
     @property
     def leader(self) -> Follows:
-        """What its position is, by that of a joint which moves on its own: its own, or another."""
+        """The gear to the joint that moves this one; a joint that moves on its own leads itself."""
         return self.follows or Follows(self.name)
 
     def position(self, moving: Mapping[str, Any]) -> Any:
-        """Return its position, by those of joints that move on their own, of any shape."""
+        """Return the joint's position; ``moving`` has positions, of any shape, by name of joint."""
         return self.leader.ratio * moving[self.leader.joint] + self.leader.offset
 
     def fixed_at(self, position: float) -> Joint:
-        """Return the joint fixed at a position, its parameters where they are."""
+        """Return the joint fixed at a position, [rad] or [m]; its coordinates are kept."""
         placement = self.placement
         if position:
             origin = placement.origin() @ self.motion(np.array([position]))[0]
@@ -98,7 +98,7 @@ class Joint:
         return replace(still, mass=self.mass, centre=self.centre)
 
     def motion(self, positions: Array) -> Array:
-        """Return its motion by its positions, shape (N,) to (N, 4, 4)."""
+        """Return the joint's displacements at positions, shape (N,), as matrices (N, 4, 4)."""
         motion = np.tile(np.eye(4), (len(positions), 1, 1))
         along = np.multiply.outer(positions, self.axis)
         if self.kind == "prismatic":
@@ -110,7 +110,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class End:
-    """Where a leg meets the platform, or itself: a loop within it.
+    """Place where a leg meets the platform, or itself in a loop within the leg.
 
     >>> import pincal
     >>> pincal.End("coupler_tip", "hook", ("x", "y")).frames
@@ -118,26 +118,26 @@ class End:
     """
 
     tip: str
-    """The joint whose frame it is."""
+    """Name of the joint whose frame, the tip, meets the other frame."""
     meets: Joint | str
-    """Platform point, a fixed joint from the platform frame; or a joint of the leg, whose frame is
-    met."""
+    """The other frame: a platform point, as a fixed joint from the platform frame, or the name of
+    a joint of the leg."""
     closes: Closing | tuple[str, ...] = "point"
-    """Whether origins meet or whole frames; of a loop within also some rows of a twist, as of
-    ``x, y, z, rx, ry, rz`` in the frame that is met: a planar loop closes x and y across z."""
+    """Whether the origins meet or the whole frames. A loop within the leg may also name the rows of
+    ``x, y, z, rx, ry, rz`` that close, in the frame that is met: a planar loop closes x and y."""
 
     @property
     def point(self) -> Joint | None:
-        """The platform point, if the platform is met."""
+        """The platform point that the end meets; None if it closes a loop within the leg."""
         return None if isinstance(self.meets, str) else self.meets
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """The joints of the leg whose frames meet: one, or of a loop within it two."""
+        """Names of the joints whose frames meet: one at the platform, two in a loop within."""
         return (self.tip, self.meets) if isinstance(self.meets, str) else (self.tip,)
 
     def renamed(self, names: Mapping[str, str]) -> End:
-        """Return the end at joints of other names."""
+        """Return the end after its joints were renamed, old names to new ones."""
         meets = names[self.meets] if isinstance(self.meets, str) else self.meets
         return replace(self, tip=names[self.tip], meets=meets)
 
@@ -147,7 +147,7 @@ class End:
 
     @property
     def rows(self) -> tuple[int, ...]:
-        """Rows of a twist in which it closes, in space."""
+        """Indices, in (x, y, z, rx, ry, rz), of the rows that the end closes in space."""
         if isinstance(self.closes, str):
             return (0, 1, 2) if self.closes == "point" else (0, 1, 2, 3, 4, 5)
         return tuple(TWIST.index(name) for name in self.closes)

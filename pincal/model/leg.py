@@ -17,27 +17,27 @@ from pincal.model.sensor import Sensor
 from pincal.model.terms import Term
 from pincal.types import Array
 
-_ABOUT, _PLACES = 0.3, 4  # [rad], or of the size, how far about home idle joints are looked for
-_IDLE = 1e-7  # of singular values over the size: none
+_ABOUT, _PLACES = 0.3, 4  # spread, [rad] or over the size, and count of tests for idle joints
+_IDLE = 1e-7  # singular value, of motions over the size, below which a motion moves no end
 
 
 @dataclass(frozen=True)
 class Leg:
     """Joints from the base to a platform point, or to a frame of the platform.
 
-    They are a serial chain, or a tree with several ends. The last frame, the tip, meets the
-    platform's point (``point``): its origin alone, or, if the leg ``closes`` a frame, its
+    The joints are a serial chain, or a tree with several ends. The frame of the last joint, the
+    tip, meets the platform's ``point``: its origin alone, or, if the leg ``closes`` a frame, its
     orientation too; further ``ends`` meet the platform or the leg itself. A serial arm is a leg
-    that closes a frame and whose joints all have sensors. Joint positions of a leg are ordered as
-    its moving joints, base first; readings as its sensors. Joints that nobody reads and that move
-    no end, such as a strut's spin, are fixed at home: found by the rank of motions about home.
+    that closes a frame and whose joints all have sensors. Joint positions are ordered as the moving
+    joints, base first; readings as the sensors. Passive joints that move no end, such as a strut's
+    spin, are fixed at home; the rank of the motions about home finds them.
     """
 
     name: str
     joints: tuple[Joint, ...]
-    """All joints, base first, fixed ones included; the last one's frame is the tip."""
+    """All joints, base first, fixed ones included; the frame of the last one is the tip."""
     sensors: tuple[Sensor, ...]
-    """One for each active joint: most legs have one, a leg that only guides has none."""
+    """Sensors, one for each active joint; a leg that only guides the platform has none."""
     parameters: tuple[tuple[str, float], ...]
     """Names and nominal values of the identified parameters, in order."""
     point: Joint
@@ -45,12 +45,12 @@ class Leg:
     closes: Closing = "point"
     """Whether the tip's origin meets the platform, or its whole frame."""
     terms: tuple[tuple[str, Term], ...] = ()
-    """What is added to lengths and angles in a row, by the parameter's name: ``("l", Term("grow",
-    Share(10.0, 20.0), of="temperature"))``; the amplitude is a parameter too."""
+    """Terms of lengths and angles, with the parameter's name: ``("l", Term("grow", Share(10.0,
+    20.0), of="temperature"))``; the amplitude is a parameter too."""
     ends: tuple[End, ...] = ()
-    """Further ends of a tree, beside that of the last joint."""
+    """Further ends of a tree, beside the end at the last joint."""
     settled: bool = field(default=False, compare=False, repr=False)
-    """Whether joints that move no end were looked for: corrections of parameters free none."""
+    """Whether the joints that move no end are fixed already; other parameter values free none."""
 
     def __post_init__(self) -> None:
         check_leg(self)
@@ -62,7 +62,7 @@ class Leg:
                 for joint in self.joints
             )
             for name in vars(self).keys() - {field.name for field in fields(self)}:
-                del vars(self)[name]  # what was read off the joints that moved
+                del vars(self)[name]  # cached properties of the joints before
             object.__setattr__(self, "joints", joints)
 
     def __repr__(self) -> str:
@@ -72,7 +72,7 @@ class Leg:
 
     @property
     def closing(self) -> str:
-        """What it closes, in words."""
+        """What the leg closes, in words: ``closes a point and 1 further end``."""
         further = counted(len(self.ends), "further end")
         return f"closes a {self.closes}" + f" and {further}" * bool(self.ends)
 
@@ -103,12 +103,12 @@ class Leg:
         return [i for i in range(len(self.moving)) if i not in self.active]
 
     def _idle(self) -> list[str]:
-        """Return the joints that nobody reads and that move no end, by the rank of motions."""
+        """Return names of the passive joints that move no end, by the rank of their motions."""
         idle: list[str] = []
         free = [i for i in range(len(self.moving)) if i not in self.active]
         shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, len(self.moving)))
         motions = self._motions(self.home + _ABOUT * shares * self.scales) * self.scales / self.size
-        if not np.isfinite(motions).all():  # no home
+        if not np.isfinite(motions).all():  # the leg has no home
             return idle
         while free and np.linalg.matrix_rank(motions[:, :, free], tol=_IDLE).max() < len(free):
             still = int(np.abs(np.linalg.svd(motions[0, :, free].T)[2][-1]).argmax())
@@ -116,10 +116,10 @@ class Leg:
         return idle
 
     def _motions(self, joints: Array) -> Array:
-        """Return how each moving joint moves the ends, shape (N, m, n_joints), [m] and [1].
+        """Return the Jacobian of all ends by the moving joints, shape (N, m, n_joints), [m] or [1].
 
-        An end's rows are the velocity of its origin, then its turning times the leg's size, of
-        those that it closes. Joints are positions, shape (N, n_joints), [rad] or [m].
+        The rows of an end are those that it closes: the velocity of its origin, then its angular
+        velocity times the leg's size. ``joints`` are positions, shape (N, n_joints), [rad] or [m].
         """
         T, rows = self.link_placements(joints), []
         for end in self.every_end:
@@ -142,16 +142,16 @@ class Leg:
 
     @cached_property
     def every_end(self) -> tuple[End, ...]:
-        """All ends, that of the last joint first."""
+        """All ends, the one at the last joint first."""
         return (End(self.joints[-1].name, self.point, self.closes), *self.ends)
 
     @cached_property
     def points(self) -> tuple[Joint, ...]:
-        """Platform points, that of the last joint first."""
+        """Platform points, the one of the last joint first."""
         return tuple(end.point for end in self.every_end if end.point is not None)
 
     def index(self, name: str) -> int:
-        """Return the place of a joint among all joints, fixed ones included."""
+        """Return the index of a joint among all joints, fixed ones included."""
         return self._places[name]
 
     @cached_property
@@ -160,14 +160,14 @@ class Leg:
 
     @cached_property
     def carriers(self) -> tuple[int, ...]:
-        """Place of the joint whose link carries each joint, -1 where that is the base."""
+        """Index of each joint's parent among all joints, -1 for the base."""
         return tuple(
             i - 1 if joint.parent is None else self._places.get(joint.parent, -1)
             for i, joint in enumerate(self.joints)
         )
 
     def path(self, name: str) -> tuple[int, ...]:
-        """Return the places of the joints from the base to one of them."""
+        """Return the indices of the joints from the base to a joint, both included."""
         place, path = self.index(name), []
         while place >= 0:
             path.append(place)
@@ -232,14 +232,14 @@ class Leg:
 
     @property
     def reading_names(self) -> tuple[str, ...]:
-        """Names of the readings: the leg's, or of several sensors their joints'."""
+        """Names of the readings: the leg's name, or, of several sensors, their joints' names."""
         if len(self.sensors) == 1:
             return (self.name,)
         return identifiers(sensor.joint for sensor in self.sensors)
 
     @cached_property
     def influences(self) -> tuple[str, ...]:
-        """Columns of the influence quantities on which terms depend, those of sensors first."""
+        """Columns of the influence quantities on which terms depend, sensors' terms first."""
         named = zip(self.sensors, self.reading_names, strict=True)
         columns = [term.column(name) for sensor, name in named for term in sensor.terms]
         columns += [term.column(f"{self.name}.{name}") for name, term in self.terms]
@@ -252,12 +252,12 @@ class Leg:
 
     @cached_property
     def without_terms(self) -> Leg:
-        """The leg with sensors of gain and offset alone, and without amplitudes of terms."""
+        """The leg without terms and their amplitudes: sensors have gain and offset only."""
         return self._with_terms(lambda _: False)
 
     @cached_property
     def at_reference(self) -> Leg:
-        """The leg without terms that depend on influences, which are zero at their reference."""
+        """The leg while all influences are at their reference: without the terms they cause."""
         return self._with_terms(lambda term: not term.of)
 
     @cached_property
@@ -267,7 +267,7 @@ class Leg:
         return frozenset(t.parameter for t in (*of_sensors, *(term for _, term in self.terms)))
 
     def _with_terms(self, stays: Callable[[Term], bool]) -> Leg:
-        """Return the leg with some of its sensors' terms, none of parameters."""
+        """Return the leg with the sensors' terms for which ``stays`` is true, and no others."""
         sensors = tuple(
             replace(sensor, terms=tuple(filter(stays, sensor.terms))) for sensor in self.sensors
         )
@@ -295,15 +295,15 @@ class Leg:
         return hash((self.name, self.joints, self.sensors, self.parameters, points, self.terms))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: hashes of strings are each process's own."""
+        """Return the state to pickle, without the hash: hashes of strings differ by process."""
         return {name: value for name, value in self.__dict__.items() if name != "_hash"}
 
     @cached_property
     def size(self) -> float:
-        """Length of the stretched leg, [m]: the scale against which gaps are small.
+        """Length of the stretched leg at home, [m]: the scale against which gaps are small.
 
-        Its reach if it has no length at home, a metre if it has none anywhere. One that closes a
-        frame and is a joint with corrections, such as an ankle's, is as long as it is far away.
+        It is the reach if the leg has no length at home, a metre if it has none anywhere, and the
+        distance from the base's origin if a leg that closes a frame is below 1 % of it (an ankle).
         """
         far = float(np.linalg.norm(self.joints[0].placement.xyz)) * (self.closes == "frame")
         lengths = self._stretched(lambda joint: abs(joint.home)), self.reach, far, 1.0
@@ -327,8 +327,8 @@ class Leg:
     def link_placements(self, joints: Array) -> Array:
         """Return ``T_base_link`` of the link after each joint, shape (N, n_all_joints, 4, 4), [m].
 
-        Fixed joints count, the last link is the tip. Joints are positions of the moving ones, shape
-        (N, n_joints), [rad] or [m]; where they are NaN, so are the links that they move.
+        Fixed joints count; the last link is the tip. ``joints`` are positions of the moving joints,
+        shape (N, n_joints), [rad] or [m]; links that a NaN position moves are NaN.
         """
         columns = np.asarray(joints, dtype=np.float64).T
         positions = {joint.name: q for joint, q in zip(self.moving, columns, strict=True)}
@@ -344,14 +344,14 @@ class Leg:
 
     @cached_property
     def scales(self) -> Array:
-        """What steps of moving joints are measured by: a radian, or the size, (n_joints,)."""
+        """Unit of a step of each moving joint: 1 rad, or the leg's size, [m]; shape (n_joints,)."""
         return np.array([1.0 if joint.turns else self.size for joint in self.moving])
 
     def with_parameters(self, values: Mapping[str, float] | Sequence[float] | Array) -> Leg:
-        """Return the leg with other nominal parameter values, its URDF origins moved along.
+        """Return the leg with other nominal parameter values, and URDF origins that agree.
 
         Args:
-            values: New values by name (others are kept), or all of them in order.
+            values: New values by name (the others are kept), or all values in order.
 
         Raises:
             MechanismError: an unknown name, or a wrong number of values.

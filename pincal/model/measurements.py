@@ -1,4 +1,4 @@
-"""Poses, readings and measurements: rows that belong to a mechanism."""
+"""Noise, planned poses and measurements: rows that belong to a mechanism."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from pincal.types import Array, Index, Mask
 EVERY_LEG = "all"
 VERIFY = "verify"
 SMALLEST_SIGMA = 1e-50
-"""Standard deviation, [m] or [rad], below which powers of weights overflow; 0 is exact."""
+"""Smallest standard deviation, [m] or [rad], whose weights do not overflow; 0 means exact."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of what is measured; zero is exact."""
+    """Standard deviations of measured quantities; zero means exact."""
 
     position: float = option(
         1e-4,
@@ -60,7 +60,7 @@ class Noise:
             if value != 0.0 and not SMALLEST_SIGMA <= value <= LARGEST:
                 raise MeasurementError(
                     f"the noise of {name} is {value}; expected a standard deviation, 0 or more "
-                    f"({SMALLEST_SIGMA:g} to {LARGEST:g}, or 0 for what is exact)"
+                    f"({SMALLEST_SIGMA:g} to {LARGEST:g}, or 0 for an exact quantity)"
                 )
 
     def of_poses(self, mechanism: Mechanism) -> Array:
@@ -68,33 +68,33 @@ class Noise:
         return np.array([self.of_unit(unit) for unit in mechanism.platform.units])
 
     def of_unit(self, unit: str) -> float:
-        """Return the standard deviation of what is measured in m, rad or px of the platform."""
+        """Return the standard deviation of platform coordinates in m or rad, or of pixels in px."""
         return {"m": self.position, "rad": self.orientation, "px": self.pixel}[unit]
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Poses to measure, and for which leg each was chosen."""
+    """Poses to measure, and the leg for which each was chosen."""
 
     poses: Array
-    """Coordinates, shape (N, dof), [m] and [rad]."""
+    """Coordinates of the poses, shape (N, dof), [m] and [rad]."""
     sets: tuple[str, ...] | None = None
-    """Leg for which each pose was chosen, ``"leg_1+leg_2"`` for several, ``"all"`` for every leg,
-    ``"verify"`` for none: to see how the calibrated mechanism does there; None if not said."""
+    """Leg for which each pose was chosen: ``"leg_1+leg_2"`` for several, ``"all"`` for every leg,
+    ``"verify"`` for a pose that no fit uses, kept to check the calibrated mechanism; or None."""
     readings: Array | None = None
     """Readings to command, shape (N, n_readings), where poses do not determine them."""
     places: tuple[str, ...] | None = field(default=None, kw_only=True)
-    """Name of the pose of each row: rows of one name are repeated measurements."""
+    """Name of the pose of each row: rows with the same name are repeated measurements."""
     influences: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
-    """Influence quantities by column, on which terms depend (``Mechanism.influences``),
-    each of shape (N,); NaN where not known, which counts as at its reference."""
+    """Influence quantities, on which terms depend, by column (``Mechanism.influences``), each of
+    shape (N,); an unknown value is NaN and counts as the term's reference."""
     contacts: Mapping[str, tuple[str, ...]] = field(default_factory=dict, kw_only=True)
-    """Names of the points touched by contacts of a setup, by column, length N; empty for none."""
+    """Names of the points that a setup's contacts touch, by column, length N; empty for none."""
     lines: tuple[int, ...] | None = field(default=None, kw_only=True)
-    """Line of the file that holds each row, if they were read from one."""
+    """Line number of each row in the file; None if the rows were not read from a file."""
     written: str | None = field(default=None, kw_only=True)
     """Way in which the file gives a spatial platform's orientation, a key of ``WAYS``; None if
-    they were not read from one."""
+    the rows were not read from a file."""
 
     def __post_init__(self) -> None:
         poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
@@ -112,7 +112,7 @@ class Plan:
         names: Sequence[str],
         columns: Sequence[str],
     ) -> None:
-        """Make fields arrays, tuples, and mappings of arrays, with one entry for each pose."""
+        """Convert fields to arrays, tuples of names and mappings of arrays, one entry per pose."""
         count = len(self.poses)
         for name in (*arrays, *names, *columns):
             values = getattr(self, name)
@@ -134,12 +134,12 @@ class Plan:
     ) -> Plan:
         """Return the poses of a table, with its ``set`` column if there is one.
 
-        And with the readings, of a mechanism whose poses do not determine them.
+        Readings are read too if the mechanism's poses do not determine them.
 
         Args:
-            source: CSV file, or pandas DataFrame with its columns.
-            mechanism: The mechanism; or its name or folder.
-            partial: Whether columns or cells of the pose may be missing; they are NaN.
+            source: CSV file, or pandas DataFrame with the same columns.
+            mechanism: The mechanism, or its name or folder.
+            partial: Whether columns or cells of the pose may be missing; they are then NaN.
 
         Raises:
             FileError: the file is missing or cannot be read.
@@ -156,13 +156,13 @@ class Plan:
         setup: Setup | None = None,
         force: bool = False,
     ) -> None:
-        """Write a CSV file.
+        """Write the rows to a CSV file.
 
         Args:
             path: The file.
-            mechanism: The mechanism; or its name or folder.
+            mechanism: The mechanism, or its name or folder.
             orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
-            setup: Says units of further columns that are no lengths.
+            setup: Setup that knows the units of further columns other than lengths.
             force: Whether to replace the file if it exists.
 
         Raises:
@@ -195,11 +195,11 @@ class Plan:
         return len(self.poses)
 
     def place(self, row: int) -> str:
-        """Return where a row is: the line of its file, else its number."""
+        """Return where a row is, for messages: its line in the file, or else its number."""
         return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
 
     def rows(self, chosen: Index | Mask) -> Self:
-        """Return some rows, by index or mask, related to each other only."""
+        """Return the rows of an index or mask; distances to rows that are left out are dropped."""
         index = np.arange(len(self))[chosen]
 
         def selected(values: Any) -> Any:
@@ -220,48 +220,48 @@ class Plan:
 
     @property
     def touched(self) -> list[tuple[str, ...]]:
-        """Names of points that targets touch, by contact, without those that only name rows."""
+        """Names of the touched points, a tuple for each contact, without columns that name rows."""
         return [names for n, names in self.contacts.items() if n != ROW and not n.endswith(TO)]
 
     @property
     def serving(self) -> tuple[str, ...]:
-        """The sets of all rows: every leg where none are said, length N."""
+        """The set of each row, length N: ``all`` if the rows have no sets."""
         return self.sets or (EVERY_LEG,) * len(self)
 
     @property
     def verifying(self) -> Mask:
-        """Which rows no fit follows, ``set`` being ``verify``, shape (N,)."""
+        """Mask of the rows that no fit uses because their set is ``verify``, shape (N,)."""
         return np.array([name == VERIFY for name in self.serving], dtype=bool)
 
     def serves(self, leg: str) -> Mask:
-        """Return which poses were chosen for a leg, shape (N,)."""
+        """Return the mask of the poses that were chosen for a leg, shape (N,)."""
         served = (leg in name.split("+") or name in (EVERY_LEG, "") for name in self.serving)
         return np.array(list(served), dtype=bool)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Measurements(Plan):
-    """What was measured, row by row; NaN where it was not.
+    """Measured poses, readings and further quantities, row by row; NaN where not measured.
 
-    Without a ``Setup`` that says otherwise, ``poses`` are those of the platform in the base
-    frame. Of all legs together, coordinates of a position, an orientation, or all of a pose may be
-    NaN: not measured.
+    Unless a ``Setup`` says otherwise, ``poses`` are poses of the platform in the base frame. If all
+    legs are fitted together, a row may lack coordinates of the position, the orientation, or the
+    whole pose: they are NaN.
     """
 
     readings: Array = field()
-    """Shape (N, n_readings), legs in order, [rad] or [m]."""
+    """Sensor readings, shape (N, n_readings), legs in order, [rad] or [m]."""
     sigma_poses: Array | None = None
     """Standard deviation of each freedom, shape (N, dof), if the file gives it."""
     sigma_readings: Array | None = None
     """Standard deviation of each reading, shape (N, n_readings), if the file gives it."""
     extra: Mapping[str, Array] = field(default_factory=dict)
     """Further measured quantities by column, each of shape (N,): positions of further targets
-    and distances [m], what instruments read (see ``Setup``)."""
+    and distances [m], columns of instruments (see ``Setup``)."""
     sigma_extra: Mapping[str, Array] = field(default_factory=dict)
-    """Standard deviations of further quantities by column, each of shape (N,); of what a tracker
-    measures as ``range``, ``azimuth`` and ``elevation``."""
+    """Standard deviations of further quantities by column, each of shape (N,); a tracker's columns
+    are ``range``, ``azimuth`` and ``elevation``."""
     runs: tuple[str, ...] | None = None
-    """Run of the experiment to which each row belongs, if there were several."""
+    """Run of the experiment to which each row belongs, if there were several runs."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -285,7 +285,7 @@ class Measurements(Plan):
     ) -> Measurements:
         """Return the measurements of a table: poses, readings, sets and standard deviations.
 
-        Arguments and errors are those of ``Plan.from_csv``; ``setup`` says what else was measured
-        than the platform's pose, ``pairs`` is a table of distances between rows: ``row a``,
-        ``row b``, ``distance [mm]``.
+        Arguments and errors are those of ``Plan.from_csv``. In addition, ``setup`` describes what
+        was measured beside the platform's pose, and ``pairs`` is a table of distances between rows
+        with the columns ``row a``, ``row b``, ``distance [mm]``.
         """

@@ -1,4 +1,4 @@
-"""A mechanism is a platform and the legs that close on it."""
+"""A mechanism: a platform and the legs that connect it to the base."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class Mechanism:
     legs: tuple[Leg, ...]
     description: str = ""
     labels: tuple[tuple[str, str], ...] = ()
-    """What parameters are, for people, by name (of all legs) or by id (of one): ``("l", "crank")``,
-    ``("leg_2.l", "short crank")``. A mapping will do; those of no parameter are not shown."""
+    """Descriptions of parameters, by name (for all legs) or by id (for one): ``("l", "crank")``,
+    ``("leg_2.l", "short crank")``. A mapping will do; keys of no parameter are not shown."""
     load: Load | None = None
-    """What weighs on it, if that is known."""
+    """Weight of platform and payload, and gravity, if they are known."""
     cables: Cables | None = None
-    """Limits of its legs' tensions, if they are cables, which only pull."""
+    """Limits of the legs' tensions, if the legs are cables, which only pull."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", labels_of(self.labels, self.name))
@@ -50,7 +50,7 @@ class Mechanism:
 
     @attached
     def __str__(self) -> str:
-        """Return a page: platform, legs, and a table of nominal parameters."""
+        """Return a text with the platform, the legs, and a table of nominal parameters."""
 
     @cached_property
     def leg_names(self) -> tuple[str, ...]:
@@ -84,48 +84,48 @@ class Mechanism:
 
     @cached_property
     def load_names(self) -> tuple[str, ...]:
-        """What has a load of its own: readings' joints, then lengths and angles, by id."""
+        """Names of the quantities that bear a load: readings, then ids of lengths and angles."""
         placed = (f"{leg.name}.{name}" for leg in self.legs for name in leg.placed)
         return (*self.reading_names, *placed)
 
     @cached_property
     def weighs(self) -> bool:
-        """Whether gravity's loads can be worked out: a link or the platform has a mass."""
+        """Whether loads by gravity can be computed: a load is given, or a link has a mass."""
         return self.load is not None or any(j.mass for leg in self.legs for j in leg.joints)
 
     @cached_property
     def loaded(self) -> tuple[str, ...]:
-        """Those of the influences that are loads."""
+        """Columns of the influence quantities that are loads."""
         load_columns = {f"{LOAD}_{name}" for name in self.load_names}
         return tuple(name for name in self.influences if name in load_columns)
 
     @cached_property
     def followed(self) -> frozenset[str]:
-        """Columns that follow from the rows where they are not given: sides of approach, loads."""
+        """Columns that are computed where a table lacks them: sides of approach and loads."""
         joints = {f"{kind}_{name}" for kind in OF_JOINTS for name in self.reading_names}
         return frozenset(joints | {f"{LOAD}_{name}" for name in self.load_names})
 
     @cached_property
     def at_reference(self) -> Mechanism:
-        """The machine without terms that depend on influences: all of them at their reference."""
+        """The mechanism without terms of influences: all influences are at their reference."""
         return replace(self, legs=tuple(leg.at_reference for leg in self.legs))
 
     @cached_property
     def without_terms(self) -> Mechanism:
-        """The machine of geometry, gains and offsets alone, as files of other programs hold it."""
+        """The mechanism with geometry, gains and offsets alone, as in files of other programs."""
         return replace(self, legs=tuple(leg.without_terms for leg in self.legs))
 
     @cached_property
     def drawing(self) -> Mechanism:
-        """The machine whose loads count: at parameters as drawn, without terms."""
+        """The mechanism by which loads are computed: parameters as drawn, no terms."""
         drawn = {} if self.load is None else dict(self.load.drawn)
         return self.without_terms.with_parameters(drawn)
 
     def known(self, leg: int, readings: Array, influences: Array | None = None) -> Array:
-        """Return what is known of rows for a leg's terms: its readings, then its influences.
+        """Return what a leg's terms depend on, shape (N, n_active [+ n_influences of the leg]).
 
-        Shape (N, n_active [+ n_influences of the leg]), of readings (N, n_readings), [rad] or [m],
-        and influences (N, n_influences) of all legs; these are at their reference if not given.
+        They are columns of all legs' ``readings``, shape (N, n_readings), [rad] or [m], and of
+        all ``influences``, shape (N, n_influences), which are at their reference if not given.
         """
         of_leg = readings[:, self.reading_columns[leg]]
         if influences is None:
@@ -133,34 +133,34 @@ class Mechanism:
         return np.hstack((of_leg, self.influences_at(leg, influences)))
 
     def influences_at(self, leg: int, influences: Array) -> Array:
-        """Return the influences of one leg among those of all, shape (N, n_influences of it)."""
+        """Return a leg's columns of all legs' influences, shape (N, n_influences of the leg)."""
         return influences[:, [self.influences.index(name) for name in self.legs[leg].influences]]
 
     @cached_property
     def counts(self) -> dict[str, float]:
-        """Encoder counts of one rad or m, by the readings whose sensors say it."""
+        """Encoder counts per rad or m, by name of the readings whose sensors state them."""
         every = [sensor.counts_per_unit for leg in self.legs for sensor in leg.sensors]
         pairs = zip(self.reading_names, every, strict=True)
         return {name: per_unit for name, per_unit in pairs if per_unit is not None}
 
     @cached_property
     def reading_columns(self) -> tuple[slice, ...]:
-        """Where the readings of each leg are among all of them."""
+        """Columns of each leg's readings among all readings."""
         ends = accumulate((len(leg.sensors) for leg in self.legs), initial=0)
         return tuple(slice(start, end) for start, end in pairwise(ends))
 
     @cached_property
     def constraints(self) -> int:
-        """Equations that the legs demand of pose and readings, passive joints eliminated."""
+        """Number of equations by which the legs constrain the pose, passive joints eliminated."""
         return sum(max(self.platform.equations(leg), 0) for leg in self.legs)
 
     @cached_property
     def by_readings(self) -> bool:
-        """Whether readings determine poses, and poses do not determine readings.
+        """Whether readings determine poses, but poses do not determine readings.
 
-        Of arms, with loops within or without, whose readings have many solutions, and of legs with
-        fewer joints than their closure has rows, which reach a surface of poses only. Their poses
-        are made by forward kinematics.
+        Examples are an arm, with or without loops within it, whose inverse kinematics has many
+        solutions, and a leg with fewer joints than closure rows, which reaches only a surface of
+        poses. Poses of such mechanisms are generated by forward kinematics.
         """
         return len(self.legs) == 1 or any(
             not leg.passive or len(leg.moving) != self.platform.rows(leg) for leg in self.legs
@@ -168,7 +168,7 @@ class Mechanism:
 
     @property
     def redundant(self) -> bool:
-        """Whether the legs demand more than fixes the platform, so that readings may contradict."""
+        """Whether there are more equations than freedoms, so that readings may contradict."""
         return self.constraints > self.platform.dof
 
     def leg(self, name: str) -> Leg:
@@ -186,10 +186,10 @@ class Mechanism:
         """Return the mechanism with other nominal parameters; those not named are kept.
 
         Args:
-            values: By id (``{"leg_1.l": 0.31}``), or by leg, then by name or all in order.
+            values: Values by id (``{"leg_1.l": 0.31}``); or by leg, each by name or all in order.
 
         Raises:
-            MechanismError: an unknown leg or parameter, a wrong number of values, or no number.
+            MechanismError: an unknown leg or parameter, a wrong number of values, or a non-number.
         """
         new: dict[str, Any] = {}
         by_id: dict[str, Any] = {}
@@ -203,7 +203,7 @@ class Mechanism:
             of_leg = new.get(parameter.owner, {})
             if not isinstance(of_leg, Mapping):
                 raise MechanismError(
-                    f"{key!r} is given by its id and among all of {parameter.owner}"
+                    f"{key!r} is given twice: by its id and in the values of {parameter.owner}"
                 )
             new[parameter.owner] = {**of_leg, parameter.name: value}
         legs = tuple(leg.with_parameters(new.get(leg.name, {})) for leg in self.legs)
@@ -217,7 +217,7 @@ class Mechanism:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Identified parameters of all legs, in order; ``parameters["leg_1.l"]`` is one."""
+        """Identified parameters of all legs, in order, also by id: ``parameters["leg_1.l"]``."""
         labels = dict(self.labels)
         return Parameters(
             Parameter(
@@ -233,7 +233,7 @@ class Mechanism:
 
     @property
     def labelled(self) -> str:
-        """What parameters that there are mean, in a line; empty if nobody said."""
+        """Descriptions of the parameters on one line; empty if there are none."""
         keys = {key for parameter in self.parameters for key in (parameter.name, parameter.id)}
         return "; ".join(f"{key}: {text}" for key, text in self.labels if key in keys)
 
@@ -244,7 +244,7 @@ class Mechanism:
 
     @attached
     def _repr_html_(self) -> str:
-        """Return a picture and the nominal parameters for notebooks."""
+        """Return HTML for notebooks: a picture and the nominal parameters."""
 
     @staticmethod
     @attached
@@ -252,27 +252,27 @@ class Mechanism:
         """Return a serial arm from any URDF, as a mechanism to calibrate.
 
         Args:
-            path: The URDF; links that do not lie between base and tip are left out.
-            tip: Link at the end, whose frame is the platform.
-            base: Link at the foot; the root of the URDF if not given.
+            path: The URDF file; links that do not lie between base and tip are left out.
+            tip: Name of the last link, whose frame is the platform.
+            base: Name of the first link; by default the root of the URDF.
 
         Raises:
             FileError: the file is missing or cannot be read.
-            MechanismError: not well-formed, or no chain of joints from base to tip.
+            MechanismError: the file is not well-formed, or no joints lead from base to tip.
         """
 
     @attached
     def pinocchio(self) -> tuple[Any, list[Any]]:
-        """Return the whole mechanism as a model of Pinocchio's, and what closes its loops.
+        """Return the whole mechanism as a Pinocchio model, and constraints that close its loops.
 
-        A ``pin.Model`` with all joints of the legs, then the platform's (a joint for each position;
-        for its orientation one joint, or a ball), and a ``pin.RigidConstraintModel`` for each end:
-        configurations are the ``joints`` of inverse kinematics, leg by leg, then the platform's
-        position and angle, or quaternion x, y, z, w. Masses, load and gravity as far as they are
-        known, at nominal parameters, without terms.
+        The ``pin.Model`` has all joints of the legs, then the platform's (one joint per position;
+        for the orientation one joint, or a ball). Each end has a ``pin.RigidConstraintModel``. A
+        configuration is the ``joints`` of inverse kinematics, leg by leg, then the platform's
+        position and angle, or quaternion x, y, z, w. Parameters are nominal, without terms; masses,
+        load and gravity are included as far as they are known.
 
         Raises:
-            MechanismError: joints that follow others, or ends that close neither points nor frames.
+            MechanismError: a joint follows another, or an end closes neither a point nor a frame.
 
         Example:
             >>> import pincal
@@ -283,7 +283,7 @@ class Mechanism:
 
     @attached
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
-        """Write ``mechanism.yaml`` and the URDFs to a new folder, whole or not at all.
+        """Write ``mechanism.yaml`` and the URDFs to a new folder, completely or not at all.
 
         Raises:
             FileError: the folder exists and ``force`` is not set, or cannot be written.

@@ -1,4 +1,4 @@
-"""A kinematic parameter: a number of one owner, with one id that is written the same everywhere."""
+"""Kinematic parameters: each has an owner, a name, and one id that is used everywhere."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pincal.errors import MechanismError
 from pincal.model.checks import listed
 from pincal.types import Array
 
-#: Letters of a parameter's label, at most.
+#: Largest number of characters of a parameter's label.
 LONGEST_LABEL = 60
 
 
 def means(wanted_name: str, leg: str, name: str) -> bool:
-    """Return whether a name means a leg's parameter: ``l``, ``leg_1.l``, ``leg_1.*``, ``A_*``."""
+    """Return whether a pattern (``l``, ``leg_1.l``, ``leg_1.*``) matches a leg's parameter."""
     leg_pattern, _, pattern = wanted_name.rpartition(".")
     return fnmatchcase(name, pattern) and fnmatchcase(leg, leg_pattern or "*")
 
@@ -29,29 +29,29 @@ class Parameter:
     """One identified quantity and its nominal value."""
 
     owner: str
-    """What it belongs to, such as ``"leg_1"``."""
+    """Name of the leg or instrument that has the parameter, such as ``"leg_1"``."""
     name: str
-    """Its name there, such as ``"l"``."""
+    """Name of the parameter within its owner, such as ``"l"``."""
     unit: str
-    """m, rad, or 1 for a gain."""
+    """Unit: m, rad, or 1 for a gain."""
     nominal: float
-    """Nominal value, SI."""
+    """Nominal value, SI units."""
     label: str = field(default="", kw_only=True, compare=False)
-    """What it is, for people: ``"radius of the base joint"``; empty if nobody said."""
+    """Description for people, ``"radius of the base joint"``; empty if there is none."""
 
     @property
     def id(self) -> str:
-        """The one name by which it is known everywhere: ``"leg_1.l"``."""
+        """Unique id, owner and name: ``"leg_1.l"``."""
         return f"{self.owner}.{self.name}"
 
     @property
     def column(self) -> str:
-        """What heads its values in a table: ``"leg_1.l [m]"``."""
+        """Header of the parameter's column in a table: ``"leg_1.l [m]"``."""
         return f"{self.id} [{self.unit}]"
 
 
 class Parameters(tuple[Parameter, ...]):
-    """Parameters in order, found by place or by id: ``parameters["leg_1.l"].nominal``."""
+    """Parameters in order, accessed by index or by id: ``parameters["leg_1.l"].nominal``."""
 
     @cached_property
     def _by_id(self) -> dict[str, Parameter]:
@@ -59,7 +59,7 @@ class Parameters(tuple[Parameter, ...]):
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """Ids, in order."""
+        """Ids of the parameters, in order."""
         return tuple(self._by_id)
 
     @cached_property
@@ -70,10 +70,10 @@ class Parameters(tuple[Parameter, ...]):
         return values
 
     def __getitem__(self, key: Any) -> Any:
-        """Return the parameter at a place, or of an id, or the parameters of a slice.
+        """Return the parameter of an index or id, or the parameters of a slice.
 
         Raises:
-            MechanismError: no parameter has this id; the message names those alike.
+            MechanismError: no parameter has this id; the message names similar ids.
         """
         if isinstance(key, str):
             if key in self._by_id:
@@ -98,19 +98,19 @@ class Parameters(tuple[Parameter, ...]):
 
 
 def labels_of(labels: object, name: str) -> tuple[tuple[str, str], ...]:
-    """Return what parameters of a mechanism are called for people, as pairs of key and text."""
+    """Return a mechanism's labels of parameters as pairs of key and text, checked."""
     context = f"mechanism {name!r}: labels"
     try:
         texts: dict[object, object] = dict(labels)  # type: ignore[call-overload]
     except (TypeError, ValueError) as error:
         raise MechanismError(
-            f"{context} are {str(labels)[:80]}; expected texts by parameter's name or id, such as "
-            "{'l': 'crank'}"
+            f"{context} are {str(labels)[:80]}; expected texts by name or id of a parameter, such "
+            "as {'l': 'crank'}"
         ) from error
     for key, text in texts.items():
         if not (isinstance(text, str) and text.isprintable() and 0 < len(text) <= LONGEST_LABEL):
             raise MechanismError(
-                f"{context}: that of {str(key)[:80]!r} is {str(text)[:80]!r}; expected a few "
-                f"words, {LONGEST_LABEL} letters at most"
+                f"{context}: the label of {str(key)[:80]!r} is {str(text)[:80]!r}; expected a few "
+                f"words, at most {LONGEST_LABEL} characters"
             )
     return tuple((str(key), str(text)) for key, text in texts.items())

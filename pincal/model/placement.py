@@ -3,8 +3,8 @@
 A placement is the URDF origin of a joint together with the coordinates that are
 identified in it. Each coordinate expands into elementary displacements along or
 about the axes of the parent link, applied in order (``x`` and ``rz`` are
-Pinocchio's ``PX`` and ``RZ`` joints). What the coordinates do not explain of the
-origin is a constant displacement after them.
+Pinocchio's ``PX`` and ``RZ`` joints). A constant displacement follows the
+coordinates: the part of the origin that they do not explain.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pincal.types import Array
 Value = str | float  # a parameter's name, or a constant
 Values = tuple[Value, ...] | list[Value]
 
-#: Coordinate kinds and, for each of their values, its unit.
+#: Kinds of coordinates, with the unit of each of their values.
 KINDS: dict[str, tuple[str, ...]] = {
     "x": ("m",),
     "y": ("m",),
@@ -39,7 +39,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 
 
 class Step(NamedTuple):
-    """One elementary displacement: ``sign * value`` along (x, y, z) or about (rx, ry, rz)."""
+    """Elementary displacement by ``sign * value`` along (x, y, z) or about (rx, ry, rz) an axis."""
 
     axis: str
     value: Value
@@ -88,8 +88,8 @@ class Coordinate:
     def steps(self) -> tuple[Step, ...]:
         """Elementary displacements, in order.
 
-        The azimuth turns the point but not what follows: +azimuth before the
-        radius, -azimuth after it (a tie between two joints).
+        The angles of a point move the origin but keep the orientation: each turns forward before
+        the radius and back after it, so that two joints share one parameter.
         """
         if self.kind == "polar":
             radius, azimuth = self.values
@@ -102,7 +102,7 @@ class Coordinate:
 
     @property
     def turns(self) -> bool:
-        """Whether the coordinate turns what follows it."""
+        """Whether the coordinate changes the orientation of the joint's frame."""
         return self.kind in ("rx", "ry", "rz")
 
     def displacement(self, parameters: Mapping[str, float]) -> Array:
@@ -110,35 +110,35 @@ class Coordinate:
         matrix = np.eye(4)
         for step in self.steps:
             matrix = matrix @ step.matrix(parameters)
-        if not self.turns:  # exact: a point does not turn what follows
+        if not self.turns:  # exact: a point keeps the orientation
             matrix[:3, :3] = np.eye(3)
         return matrix
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a joint sits on its parent link: URDF origin, and the coordinates in it."""
+    """Place of a joint on its parent link: URDF origin, and the coordinates identified in it."""
 
     coordinates: tuple[Coordinate, ...] = ()
     xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """URDF origin, [m]."""
+    """Position of the URDF origin, [m]."""
     rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """URDF origin, roll-pitch-yaw about fixed axes, [rad]."""
+    """Orientation of the URDF origin: roll, pitch, yaw about fixed axes, [rad]."""
 
     @classmethod
     def of(cls, parameters: Mapping[str, float], /, **coordinates: Value | Values) -> Placement:
-        """Return the placement that coordinates give at nominal values, in the order given.
+        """Return the placement of coordinates, in the order given, at nominal values.
 
         ``Placement.of(values, polar=("OA", "beta"), rz=0.3)`` puts a joint at a radius and an
         azimuth, and turns it by 0.3 rad.
 
         Args:
             parameters: Nominal values by name.
-            **coordinates: By kind (a key of ``KINDS``) its value, or its values: names of
-                parameters, or numbers.
+            **coordinates: Value or values of each kind of coordinate (a key of ``KINDS``): names
+                of parameters, or numbers.
 
         Raises:
-            MechanismError: an unknown kind, or another number of values than it takes.
+            MechanismError: an unknown kind, or a wrong number of values for a kind.
         """
         placed = tuple(
             Coordinate(kind, tuple(values) if isinstance(values, tuple | list) else (values,))
@@ -157,7 +157,7 @@ class Placement:
         return tuple(step for c in self.coordinates for step in c.steps)
 
     def corrects(self, parameters: Mapping[str, float]) -> bool:
-        """Return whether the coordinates are mere corrections: all zero."""
+        """Return whether the coordinates are mere corrections: all are zero at these values."""
         return not any(step.amount(parameters) for step in self.steps)
 
     @property
@@ -172,7 +172,7 @@ class Placement:
 
     @property
     def turns(self) -> bool:
-        """Whether the coordinates, taken together, can turn the joint's frame."""
+        """Whether any coordinate changes the orientation of the joint's frame."""
         return any(c.turns for c in self.coordinates)
 
     def displacement(self, parameters: Mapping[str, float]) -> Array:
@@ -194,8 +194,8 @@ class Placement:
     def rest(self, parameters: Mapping[str, float], context: str) -> Array:
         """Return the constant displacement after the coordinates, shape (4, 4).
 
-        Coordinates whose nominal values are all zero are corrections to the URDF origin. Otherwise
-        they must give its whole position; ``context`` heads the message if they do not.
+        Coordinates whose nominal values are all zero correct the URDF origin. Others must give its
+        whole position, or a MechanismError is raised, whose message ``context`` heads.
         """
         origin = self.origin()
         if not self.coordinates:
@@ -203,7 +203,7 @@ class Placement:
         displacement = self.displacement(parameters)
         constant = np.asarray(np.linalg.inv(displacement) @ origin)
         R, exact = constant[:3, :3], np.round(constant[:3, :3])
-        # 0 or ±1 but for rounding is that: a leg has the same constant parts at all its values
+        # within rounding of 0 or ±1 set to it: the same constant part at all parameter values
         R = np.where(np.abs(R - exact) < 1e-15, exact, R)
         constant[:3, :3] = R if self.turns else origin[:3, :3]
         if not self.corrects(parameters):
@@ -222,16 +222,16 @@ class Placement:
         return constant
 
     def moved(self, old: Mapping[str, float], new: Mapping[str, float], context: str) -> Placement:
-        """Return the placement at new parameter values; its constant part stays."""
+        """Return the placement at new parameter values, with the same constant part."""
         if not self.coordinates:
             return self
         return self.at(new, self.rest(old, context))
 
     def at(self, parameters: Mapping[str, float], constant: Array) -> Placement:
-        """Return the placement whose origin is ``displacement(parameters) @ rest``.
+        """Return the placement whose origin is ``displacement(parameters) @ constant``.
 
-        The place of the rest becomes coordinates of its own: corrections that are zero no more
-        would otherwise have to give the whole position.
+        Unless the coordinates are corrections at these values, the position of the constant part
+        becomes further coordinates, because coordinates must then give the whole position.
         """
         origin = self.displacement(parameters) @ constant
         rpy, coordinates = self.rpy, self.coordinates
@@ -244,12 +244,12 @@ class Placement:
 
 
 def placement_of(matrix: Array) -> Placement:
-    """Return the placement, without coordinates, of a homogeneous matrix, shape (4, 4)."""
+    """Return the placement without coordinates of a homogeneous matrix, shape (4, 4)."""
     return Placement((), floats(matrix[:3, 3]), _roll_pitch_yaw(matrix[:3, :3]))
 
 
 def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw about fixed axes, [rad], which give the rotation at poles too.
+    """Return roll, pitch, yaw about fixed axes, [rad], of a rotation matrix, also at the poles.
 
     Angles within rounding of a multiple of pi/2 are set to it, so that files are clean.
     """
@@ -259,6 +259,6 @@ def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
 
 
 def floats(values: Array) -> tuple[float, float, float]:
-    """Return three numbers of an array, without negative zeros."""
+    """Return the three numbers of an array as a tuple, without negative zeros."""
     x, y, z = (float(v) + 0.0 for v in values)
     return x, y, z

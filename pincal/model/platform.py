@@ -1,4 +1,4 @@
-"""The platform's freedoms: the coordinates people use, and the rigid transforms used inside.
+"""Platform freedoms: conversion between pose coordinates and rigid transforms.
 
 Orientations are written as tilt and torsion, rotation vectors, quaternions, or Z-Y-X angles.
 """
@@ -30,58 +30,58 @@ if TYPE_CHECKING:
     from pincal.model.leg import Leg
 
 
-#: For each way: columns and their unit.
+#: Columns, and their unit, of each way to write an orientation.
 WAYS: dict[str, tuple[tuple[str, ...], str]] = {
     "tilt-torsion": (("azimuth", "tilt", "torsion"), "rad"),
     "rotation-vector": (("rx", "ry", "rz"), "rad"),
     "quaternion": (("qw", "qx", "qy", "qz"), "1"),
     "zyx": (("yaw", "pitch", "roll"), "rad"),
 }
-_UNIT_NORM = 1e-3  # by which a quaternion's length may miss 1
-_POLE = 1e-13  # sine of an angle from a pole, below which rounding decides what turns about it
+_UNIT_NORM = 1e-3  # largest difference of a quaternion's length from 1
+_POLE = 1e-13  # sine of the angle from a pole, below which rounding decides the angles about it
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
-"""Rows of a twist, linear first."""
+"""Names of the rows of a twist, linear velocity first."""
 KINDS = {
     "point": ("x", "y"),
     "planar": ("x", "y", "rz"),
     "translational": ("x", "y", "z"),
     "spatial": TWIST,
 }
-"""Kinds with a name that files may say, and their rows of a twist."""
+"""Rows of the twist of each platform kind that files can name."""
 _ANY, _TURN, _TILT = (-np.inf, np.inf), (-np.pi, np.pi), (0.0, np.pi)
 Poses: TypeAlias = Array | RigidTransform  # coordinates (N, dof), or transforms of length N
 
 
 @dataclass(frozen=True)
 class Platform:
-    """Platform of a mechanism, with its coordinates.
+    """Platform of a mechanism: its freedoms, coordinates and home pose.
 
     - ``point``: x, y of a point in the plane;
     - ``planar``: x, y, phi;
     - ``translational``: x, y, z;
     - ``spatial``: x, y, z and tilt and torsion, R = Rz(azimuth) Ry(tilt) Rz(torsion − azimuth)
-      (6-UPS paper, Section 2.2); azimuth and torsion turn about one axis at tilt 0, where the
-      azimuth is 0, and at tilt π, where the torsion is 0: orientations come back as they were.
+      (6-UPS paper, Section 2.2); azimuth and torsion turn about the same axis at tilt 0, where the
+      azimuth is set to 0, and at tilt π, where the torsion is: the orientation is kept.
 
-    Another kind, as of ``Platform("3T1R", home, ("x", "y", "z", "rz"))``, has other freedoms, here
-    x, y, z, phi. Poses are ``T_base_platform``, a SciPy ``RigidTransform`` of length N, or the
-    coordinates, shape (N, dof), in [m] and [rad].
+    A further kind states its freedoms: ``Platform("3T1R", home, ("x", "y", "z", "rz"))`` has the
+    coordinates x, y, z, phi. Poses are ``T_base_platform``, a SciPy ``RigidTransform`` of length N,
+    or the coordinates, shape (N, dof), in [m] and [rad].
     """
 
     kind: str
-    """Name of a kind above, or of one's own."""
+    """One of the kinds above, or a name of your own."""
     home: tuple[float, ...]
     """Coordinates of the home pose, [m] and [rad]."""
     twist: tuple[str, ...] = ()
-    """Rows of a twist in which it moves, in the order of ``x, y, z, rx, ry, rz``; of the kind if
-    not given. Along none, x, x and y, or all three; about one, three or none. The base's axes are
-    chosen so that a platform that moves along one moves along x."""
+    """Rows of the twist in which the platform moves, in the order ``x, y, z, rx, ry, rz``; by
+    default those of the kind. It moves along no axis, x, x and y, or all three, and about none, one
+    or three axes. Choose the base's axes so that motion along a single axis is along x."""
 
     def __post_init__(self) -> None:
         kind = must_be(self.kind, str, "a platform's kind", MechanismError)
         twist: tuple[str, ...] = KINDS.get(kind, ())
         if twist and self.twist and tuple(self.twist) != twist:
-            raise MechanismError(f"the kind {kind!r} has other freedoms; name your own otherwise")
+            raise MechanismError(f"the kind {kind!r} has other freedoms; choose another name")
         object.__setattr__(self, "twist", twist or _own_twist(kind, self.twist))
         home = array_of(self.home, ("dof",), "the home pose", MechanismError).tolist()
         object.__setattr__(self, "home", tuple(home))
@@ -116,13 +116,13 @@ class Platform:
 
     @cached_property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates: positions; ``phi``, or azimuth, tilt and torsion."""
+        """Names of the coordinates: positions, then ``phi``, or azimuth, tilt and torsion."""
         angles = {0: (), 1: ("phi",), 3: WAYS["tilt-torsion"][0]}[self.turns]
         return (*self.twist[: self.lengths], *angles)
 
     @property
     def freedoms(self) -> tuple[str, ...]:
-        """Names of the twist rows: three turns are rx, ry, rz in base axes, one is phi."""
+        """Names of the twist rows: three angles are rx, ry, rz about base axes, one is phi."""
         return self.twist if self.turns == 3 else self.coordinates
 
     @cached_property
@@ -132,13 +132,13 @@ class Platform:
 
     @cached_property
     def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Least and largest value of each coordinate, infinite for lengths."""
+        """Smallest and largest value of each coordinate, infinite for lengths."""
         angles = (_TURN,) if self.turns == 1 else (_TURN, _TILT, _TURN)[: self.turns]
         return (_ANY,) * self.lengths + angles
 
     @cached_property
     def twist_rows(self) -> tuple[int, ...]:
-        """Where the rows of ``twist`` are among all six, one per freedom."""
+        """Indices of the platform's freedoms among the six rows of a twist."""
         return tuple(TWIST.index(name) for name in self.twist)
 
     @property
@@ -148,25 +148,25 @@ class Platform:
         return 2 if plane else 3
 
     def closing(self, end: End) -> tuple[int, ...]:
-        """Return the rows of a twist in which an end of a leg closes: those that can move.
+        """Return the rows of a twist in which an end of a leg closes.
 
-        In the plane these are of the plane; frames of a platform that only turns meet in their
-        turns.
+        In the plane they are the end's rows that lie in the plane. Where a platform that only
+        turns meets a whole frame, they are the three rows of orientation.
         """
         if self.lengths == 0 and end.point is not None and end.closes == "frame":
             return (3, 4, 5)
         return tuple(row for row in end.rows if self.space == 3 or row in (0, 1, 5))
 
     def equations(self, leg: Leg) -> int:
-        """Return how many equations a leg demands of a pose, passive joints eliminated."""
+        """Return the number of a leg's equations on the pose, passive joints eliminated."""
         return self.rows(leg) - len(leg.passive)
 
     def rows(self, leg: Leg) -> int:
-        """Return how many rows the closures of all ends of a leg have."""
+        """Return the number of closure rows of a leg, of all its ends together."""
         return sum(len(self.closing(end)) for end in leg.every_end)
 
     def transforms(self, poses: Poses) -> RigidTransform:
-        """Return poses ``T_base_platform`` of length N, of coordinates (N, dof) or transforms.
+        """Return poses, coordinates (N, dof) or transforms, as ``T_base_platform`` of length N.
 
         Raises:
             MechanismError: wrong shape, or a coordinate that is not a finite number.
@@ -176,10 +176,10 @@ class Platform:
         return RigidTransform(self.matrices(poses), normalize=False, copy=False)
 
     def matrices(self, poses: Poses) -> Array:
-        """Return poses as homogeneous matrices, shape (N, 4, 4), memory along the poses."""
+        """Return poses as homogeneous matrices, shape (N, 4, 4), contiguous along the poses."""
         if isinstance(poses, RigidTransform):
             if poses.single:
-                raise MechanismError("poses are N transforms; got a single one: put it in brackets")
+                raise MechanismError("poses must be N transforms; got a single one: make it a list")
             return np.ascontiguousarray(poses.as_matrix().transpose(1, 2, 0)).transpose(2, 0, 1)
         coordinates = self.checked(poses)
         T = np.zeros((4, 4, len(coordinates)))
@@ -210,12 +210,12 @@ class Platform:
 
     @property
     def _across(self) -> tuple[int, int]:
-        """Axes across that of the one turn."""
+        """Indices of the two axes perpendicular to the single rotation axis."""
         axis = self.twist_rows[-1] - 3
         return (axis + 1) % 3, (axis + 2) % 3
 
     def checked(self, poses: object) -> Array:
-        """Return coordinates of poses, shape (N, dof), their shape and numbers checked."""
+        """Return coordinates as an array (N, dof); raise MechanismError if shape or values fail."""
         coordinates = numbers_of(poses, "poses", MechanismError)
         if coordinates.ndim != 2 or coordinates.shape[1] != self.dof:
             raise MechanismError(
@@ -234,9 +234,10 @@ class Platform:
         return self.from_matrices(poses.as_matrix())
 
     def moved(self, poses: Array, twists: Array) -> Array:
-        """Return poses moved by small twists at the platform's origin, axes of the base.
+        """Return poses moved by small twists at the platform's origin, in the axes of the base.
 
-        Coordinates and twists in the platform's freedoms, both of shape (N, dof), [m] and [rad].
+        Both are in the platform's freedoms: ``poses`` coordinates and ``twists`` rows of a twist,
+        shapes (N, dof), [m] and [rad].
         """
         if self.turns < 3:
             return poses + twists
@@ -254,7 +255,7 @@ class Platform:
         return moved
 
     def twists_between(self, first: Array, second: Array) -> Array:
-        """Return the twists that take first poses to second ones, shape (N, dof): see ``moved``."""
+        """Return the twists that move the first poses to the second, (N, dof): see ``moved``."""
         if self.turns < 3:
             turn = [unit == "rad" for unit in self.units]
             twists = second - first
@@ -272,14 +273,14 @@ class Platform:
 
 
 def _own_twist(kind: str, twist: object) -> tuple[str, ...]:
-    """Return the rows of a twist of a kind of the user's own, checked."""
+    """Return the rows of the twist of a user-defined platform kind, checked."""
     if twist == () and kind not in KINDS:
         raise MechanismError(
-            f"unknown platform kind {kind!r}; expected one of {', '.join(KINDS)}, or the rows of a "
-            "twist in which yours moves"
+            f"unknown platform kind {kind!r}; expected one of {', '.join(KINDS)}, or the rows of "
+            "the twist in which yours moves"
         )
     if not (kind and kind.isprintable() and len(kind) <= 64):
-        raise MechanismError(f"{kind!r} is no name for a platform kind")
+        raise MechanismError(f"platform kind {kind!r}: expected 1 to 64 printable characters")
     label = f"freedoms of a {kind!r} platform"
     count = len(must_be(twist, Sequence, label, MechanismError))
     rows = names_of(twist, count, label, MechanismError)
@@ -290,12 +291,12 @@ def _own_twist(kind: str, twist: object) -> tuple[str, ...]:
     elif lengths != TWIST[: len(lengths)]:
         expected = (
             "a platform moves along x, along x and y, or along x, y and z: choose the base's axes "
-            "so"
+            "accordingly"
         )
     elif len(rows) - len(lengths) == 2:
         expected = (
-            "turns about two axes are turns about a third as well: give all three, the legs hold "
-            "what the platform does not do"
+            "turns about two axes include turns about the third: give all three; the legs' "
+            "closures exclude the motions that the platform cannot make"
         )
     if expected:
         raise MechanismError(f"{label}: {', '.join(rows)}; {expected}")
@@ -303,15 +304,15 @@ def _own_twist(kind: str, twist: object) -> tuple[str, ...]:
 
 
 def in_part(names: Sequence[str]) -> str:
-    """Say that some columns of an orientation are measured, and others not."""
+    """Return the message that some columns of an orientation are measured, and others not."""
     return (
-        f"an orientation is measured in part; expected {', '.join(names)} or none of them (what "
-        "reads a single angle is an instrument of your own: pincal.Instrument)"
+        f"an orientation is measured in part; expected {', '.join(names)} or none of them (for a "
+        "device that reads a single angle, define a pincal.Instrument)"
     )
 
 
 def rotation_of(way: str, values: Array) -> Rotation:
-    """Return the orientations of columns, ``R_base_platform``.
+    """Return the orientations ``R_base_platform`` of columns.
 
     - ``tilt-torsion``: R = Rz(azimuth) Ry(tilt) Rz(torsion − azimuth) (6-UPS paper, Eq. 4);
     - ``rotation-vector``: axis times angle;
@@ -320,10 +321,10 @@ def rotation_of(way: str, values: Array) -> Rotation:
 
     Args:
         way: One of ``WAYS``.
-        values: Shape (N, 3), [rad], or (N, 4) for quaternions.
+        values: Values of the columns, shape (N, 3), [rad], or (N, 4) for quaternions.
 
     Raises:
-        MeasurementError: a quaternion that is not of length 1.
+        MeasurementError: the length of a quaternion is not 1.
     """
     if way == "tilt-torsion":
         return Rotation.from_quat(_quaternions(values).T)
@@ -342,10 +343,10 @@ def rotation_of(way: str, values: Array) -> Rotation:
 
 
 def _quaternions(values: Array) -> Array:
-    """Return the unit quaternions of azimuth, tilt and torsion, (N, 3) to (4, N), scalar last."""
+    """Return unit quaternions of azimuth, tilt and torsion, (N, 3) to (4, N), scalar last."""
     azimuth, tilt, torsion = values.T
     t = np.tan(0.5 * np.array((tilt / 2, torsion / 2 - azimuth, torsion / 2)))
-    squares = t * t  # by tangents of halves: a quarter of the time of sines and cosines
+    squares = t * t  # half-angle tangents take a quarter of the time of sines and cosines
     sines, cosines = 2.0 * t / (1.0 + squares), (1.0 - squares) / (1.0 + squares)
     parts = sines[0] * sines[1], sines[0] * cosines[1], cosines[0] * sines[2]
     return np.array((*parts, cosines[0] * cosines[2]))
@@ -354,10 +355,9 @@ def _quaternions(values: Array) -> Array:
 def columns_of(way: str, rotation: Rotation) -> Array:
     """Return the columns of orientations, shape (N, 3), [rad], or (N, 4): see ``rotation_of``.
 
-    Angles have poles, where two of them turn about the same axis. The second of the two is
-    found from what the first leaves of the orientation, so that ``rotation_of`` gives the
-    orientation back everywhere; at a pole itself the azimuth (tilt 0), the torsion (tilt π) or
-    the roll (pitch ±π/2) is 0. Quaternions have a scalar part of 0 or more.
+    At a pole, two angles turn about one axis. The second is computed from the rotation that remains
+    after the first, so that ``rotation_of`` restores the orientation everywhere; at the pole itself
+    azimuth (tilt 0), torsion (tilt π) or roll (pitch ±π/2) is 0. Quaternions have a scalar >= 0.
     """
     if way == "tilt-torsion":  # the inverse of _quaternions
         x, y, z, w = rotation.as_quat().T
@@ -384,8 +384,8 @@ def yaw_pitch_roll(R: Array) -> Array:
 
 
 def turns_in_series(R: Array) -> Array:
-    """Return the positions of three joints that turn about x, y, z, one on the other.
+    """Return the positions a, b, c of three joints in series, about x, y and z, [rad].
 
-    R = Rx(a) Ry(b) Rz(c), the inverse of Z-Y-X angles of the inverse: shape (N, 3, 3) to (N, 3).
+    R = Rx(a) Ry(b) Rz(c), by the Z-Y-X angles of the inverse rotation: (N, 3, 3) to (N, 3).
     """
     return -yaw_pitch_roll(R.transpose(0, 2, 1))[:, ::-1] + 0.0

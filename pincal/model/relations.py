@@ -1,16 +1,15 @@
-"""What measures a platform: features that its targets meet, instruments that read its pose.
+"""Conditions on a platform: features that its targets meet, and instruments that read its pose.
 
-Points, planes, lines, circles and spheres are met, whose places rows share.
+Features are points, planes, lines, circles and spheres that stand still, the same for many rows.
 
-A feature that stands still has a frame of its own, at p and turned by R, about x and then y, in
-axes A whose z is its nominal direction. The target of a row, at u in the frame of the measurements,
-is there at
+A feature has its own frame, at p and turned by R, about x and then y, in axes A whose z is the
+nominal direction. In this frame, the target of a row, at u in the frame of the measurements, is at
 
-        w = Rᵀ (Aᵀ u − p),
+        w = Rᵀ (Aᵀ u − p).
 
-and misses the feature by coordinates of w, or by how far w is from its axis or origin, less the
-radius: a point by x, y and z, a plane by z, a line by x and y, a circle by r and z, a sphere by r.
-Where another row's target stood is a feature, too: a distance to it is r, the height of a step z.
+It misses the feature by coordinates of w, or by r, the distance of w from the axis or origin less
+the radius: a point by x, y and z, a plane by z, a line by x and y, a circle by r and z, a sphere by
+r. The target's position in another row is a feature, too: the distance from it is r, a height z.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ from pincal.model.parameter import Parameter
 from pincal.types import Array, Point
 
 ORIGIN = "platform"
-"""The target whose position is x, y, z."""
+"""Name of the target whose position is in the columns x, y, z."""
 ROW = "row"
-"""The contact of points at which rows stood, by their names: what others are measured from."""
+"""Column, and contact, of the names of rows to which other rows' distances are measured."""
 TO = "_to"
-"""Ends the column that says from which row another column is measured."""
+"""Suffix of the column that names the row from which another column is measured."""
 COORDINATES = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "radius": "m"}
-"""What says where a feature is, and its units; p is x, y, z, and R turns by rx, then ry."""
+"""Coordinates of a feature, with units; p is x, y, z, and R turns by rx, then ry."""
 SHAPES = {
     3: {
         "point": ("xyz", "x y z"),
@@ -49,41 +48,41 @@ SHAPES = {
         "circle": ("r", "x y radius"),
     },
 }
-"""By dimensions of space: by what a shape is missed, and what may be unknown of it."""
+"""Misses of each shape and its coordinates that may be unknown, by dimension of space."""
 
 
 class Relation(NamedTuple):
-    """A condition between the target of a row and a feature that rows share."""
+    """Condition between the target of a row and a feature that rows share."""
 
     name: str
     target: str
     shape: str
     column: str
-    """Has the name of the feature that each row meets; empty if all meet the same."""
+    """Column that names the feature that each row meets; empty if all rows meet the same."""
     owner: str
-    """Owns the features: ``socket`` has ``socket_A``."""
+    """Prefix of the features' names: ``socket`` owns ``socket_A``."""
     quantities: tuple[str, ...]
-    """By what it is missed, or read."""
+    """Names of the misses, whether they are read or zero."""
     ways: str
-    """What each of them is: a coordinate x, y or z of w, or r."""
+    """Kind of each quantity: a coordinate x, y or z of w, or r."""
     read: tuple[str, ...]
-    """Those that columns have; the others are zero."""
+    """Quantities that have a column; the others are zero."""
     noise: float | None
-    """Their standard deviation, [m], if the setup says it."""
+    """Standard deviation of the quantities, [m], if the setup gives it."""
 
 
 @dataclass(frozen=True)
 class Distance:
-    """A measured distance from a known point to a target, or from where the target stood."""
+    """Measured distance to a target from a known point, or from the target in another row."""
 
     point: Point | None
-    """In the frame of the measurements, [m]; None: where it stood in the row that a column names
-    (see ``Setup.of_rows``)."""
+    """Known point in the frame of the measurements, [m]; None for the target's position in the row
+    that a column names (see ``Setup.of_rows``)."""
     target: str = ORIGIN
     along: int | None = None
-    """Axis of that frame along which it is measured, 0 to 2; None: all the way."""
+    """Axis, 0 to 2, of that frame along which it is measured; None for the straight distance."""
     noise: float | None = None
-    """Standard deviation, [m]; that of positions if not given."""
+    """Standard deviation, [m]; by default that of positions."""
 
     def __post_init__(self) -> None:
         if self.point is not None:
@@ -92,7 +91,7 @@ class Distance:
         check_sizes(self, ("noise",) * (self.noise is not None), "distance's", MeasurementError)
 
     def relation(self, name: str, _space: int) -> Relation:
-        """Return what it says of rows, read in the column of its name."""
+        """Return the relation of this distance, which is read in the column ``name``."""
         way = "r" if self.along is None else "xyz"[self.along]
         owner, leads = (name, "") if self.point else (ROW, f"{name}{TO}")
         return Relation(
@@ -102,11 +101,11 @@ class Distance:
 
 @dataclass(frozen=True)
 class Contact:
-    """A target that meets again and again what stands still: sockets, a plate, an edge, a ring.
+    """Contact of a target with features that stand still: sockets, a plate, an edge, a ring.
 
-    Which of them it meets in a row stands in the column of the contact's name. A gauge reads by how
-    much it is missed: ``plate_z [mm]`` along a plane's normal, ``bar_r [mm]`` of a ball bar's
-    length.
+    The column of the contact's name has the name of the feature that the target meets in each row.
+    With a gauge, a further column has the miss: ``plate_z [mm]`` along a plane's normal,
+    ``bar_r [mm]`` of a ball bar's length.
 
     >>> import pincal
     >>> sockets = pincal.Contact({"A": None, "B": (0.3, 0.1, 0.05)}, noise=2e-5)
@@ -118,22 +117,22 @@ class Contact:
     """
 
     points: Mapping[str, Point | None]
-    """Where they are in the frame of the measurements, [m], by name: points, centres, or points on
-    planes and lines; None: to be identified, as is how they are turned."""
+    """Positions of the features by name, in the frame of the measurements, [m]: points, centres, or
+    points on planes and lines; None if it is to be identified, together with the orientation."""
     target: str = ORIGIN
     tolerance: float = 0.0
-    """Standard deviation of each coordinate of the points whose place is known, [m]."""
+    """Standard deviation of each coordinate of the points whose position is known, [m]."""
     noise: float | None = None
-    """By how much the target misses them, along each axis, or the gauge's noise, [m]; as positions
-    if not given."""
+    """Standard deviation of the miss along each axis, or of the gauge, [m]; by default that of
+    positions."""
     shape: str = "point"
-    """``point``, ``plane``, ``line``, ``circle`` or ``sphere``."""
+    """Shape of the features: ``point``, ``plane``, ``line``, ``circle`` or ``sphere``."""
     axis: Point | None = None
-    """Normal of planes, direction of lines, axis of circles, about; z, of lines x if not given."""
+    """Nominal normal of planes, direction of lines, axis of circles; by default z, of lines x."""
     radius: float | None = None
-    """Of circles and spheres, [m]; None: to be identified."""
+    """Radius of circles and spheres, [m]; None if it is to be identified."""
     gauge: bool = False
-    """Whether a column says by how much a plane, circle or sphere is missed; else it is touched."""
+    """Whether a column has the miss of a plane, circle or sphere; otherwise it is touched."""
 
     def __post_init__(self) -> None:
         error, radius = MeasurementError, self.radius
@@ -148,19 +147,19 @@ class Contact:
         no_radius = radius is not None and not (is_round and number_of(radius, "radius", error) > 0)
         for fault, text in (
             (self.shape not in SHAPES[3], f"shape is {self.shape!r}; expected {listed(SHAPES[3])}"),
-            (no_direction, f"axis is {self.axis}; expected a direction, and none of points"),
+            (no_direction, f"axis is {self.axis}; expected a direction, and no axis for points"),
             (
                 self.gauge and not (is_round or self.shape == "plane"),
-                f"gauge reads no {self.shape}",
+                f"gauge cannot read a {self.shape}; expected a plane, circle or sphere",
             ),
-            (no_radius, f"radius is {radius}; expected one above 0, of a circle or sphere"),
+            (no_radius, f"radius is {radius}; expected one above 0, and a circle or sphere"),
         ):
             if fault:
                 raise MeasurementError(f"a contact's {text}")
 
     @property
     def axes(self) -> Array:
-        """Axes whose z is the nominal direction and whose x is level, columns, shape (3, 3)."""
+        """Axes A as columns, shape (3, 3): z is the nominal direction, x is horizontal."""
         axis = self.axis or ((1.0, 0.0, 0.0) if self.shape == "line" else (0.0, 0.0, 1.0))
         z = np.array(axis) / np.linalg.norm(axis)
         x = np.array([-z[1], z[0], 0.0]) if z[:2].any() else np.array([1.0, 0.0, 0.0])
@@ -168,7 +167,7 @@ class Contact:
         return np.column_stack((x, np.cross(z, x), z))
 
     def relation(self, name: str, space: int) -> Relation:
-        """Return what it says of rows that name in the column of its name what they meet."""
+        """Return the relation of this contact, whose features the column ``name`` names."""
         ways = SHAPES[space].get(self.shape, SHAPES[3][self.shape])[0]
         missed_by = tuple(f"{name}_{way}" for way in ways)
         read = missed_by[: self.gauge]
@@ -177,16 +176,16 @@ class Contact:
         )
 
     def place(self, name: str, space: int) -> tuple[Array, Array]:
-        """Return coordinates of what has a name, and standard deviations, 0 if known, (6,) each.
+        """Return a feature's coordinates and their standard deviations, 0 if known, (6,) each.
 
         Raises:
-            MeasurementError: a shape that a machine that moves in ``space`` dimensions cannot meet.
+            MeasurementError: a machine that moves in ``space`` dimensions cannot meet the shape.
         """
         upright = abs(self.axes[2, 2]) == float(self.shape != "line")
         if self.shape not in SHAPES[space] or not (space == 3 or upright):
             raise MeasurementError(
                 f"a planar machine meets no {self.shape} along {self.axis or 'z'}; expected "
-                f"{listed(SHAPES[2])}, lines along an axis in its plane"
+                f"{listed(SHAPES[2])}, with lines in its plane and circles about z"
             )
         values, sigmas, point = np.zeros(6), np.zeros(6), self.points[name]
         unknown = SHAPES[space][self.shape][1].split()
@@ -203,17 +202,17 @@ class Contact:
 def missed(
     relation: Relation, points: Array, features: Array, axes: Array
 ) -> tuple[Array, Array, Array]:
-    """Return by how much points miss features of a relation's shape, its radius included.
+    """Return the misses of points from features of a relation's shape, with derivatives.
 
     Args:
-        relation: What they are to meet.
+        relation: The relation between the points and the features.
         points: Targets in the frame of the measurements, shape (N, 3), [m].
-        features: Coordinates of what each of them meets, shape (N, 6), [m] and [rad].
-        axes: Nominal axes of these, columns, shape (N, 3, 3).
+        features: Coordinates of the feature that each point meets, shape (N, 6), [m] and [rad].
+        axes: Nominal axes A of these features as columns, shape (N, 3, 3).
 
     Returns:
-        The misses, shape (N, k), [m], and their derivatives by points, (N, k, 3), orthonormal rows,
-        and by the features' coordinates, (N, k, 6).
+        The misses, shape (N, k), [m], and their derivatives by the points, shape (N, k, 3), with
+        orthonormal rows, and by the features' coordinates, shape (N, k, 6).
     """
     inward, turn = np.swapaxes(axes, 1, 2), np.eye(3)
     w = (inward @ points[:, :, None])[:, :, 0] - features[:, :3]
@@ -246,17 +245,17 @@ Residuals: TypeAlias = tuple[Array, Array, Array]
 
 @runtime_checkable
 class Instrument(Protocol):
-    """Anything that reads the platform's pose, in its own columns and with its own unknowns.
+    """Device that reads the platform's pose, with its own columns and its own unknowns.
 
-    One that says where it stands is drawn there by a view of the result: by a method
-    ``stand(values)`` that returns T_frame_instrument, shape (4, 4), at values of its parameters;
-    None if the platform holds it. Further, if it has them: ``priors``, standard deviations of
-    nominal values by id; ``shared``, owners of parameters that other instruments have, too;
-    ``begin(poses, measured, known)``, values from which a search begins, at poses of the nominal
-    machine and values by id that others share; ``visible(poses, values)``, which columns it could
-    measure at poses, shape (N, r), for plans and simulations; ``metres_per_pixel(poses, values)``,
-    what one of its pixels is at what it sees, shape (N, r), [m/px]; ``marks``, columns of right and
-    down by the names of points, which tables of corners fill.
+    Optional members: ``stand(values)`` returns T_frame_instrument, shape (4, 4), at values of its
+    parameters, or None if the platform holds it; a view of the result draws it there. ``priors``
+    are standard deviations of nominal values by id. ``shared`` are the owners of parameters that
+    other instruments have, too. ``begin(poses, measured, known)`` returns the values from which the
+    search starts, at poses of the nominal machine; ``known`` are values, by id, of parameters that
+    others share. ``visible(poses, values)`` returns which columns it could measure, shape (N, r),
+    for plans and simulations. ``metres_per_pixel(poses, values)`` returns the size of a pixel at
+    the seen points, shape (N, r), [m/px]. ``marks`` are the columns of right and down by the names
+    of points, which tables of corners fill.
 
     Example:
         >>> import numpy as np, pincal
@@ -275,39 +274,40 @@ class Instrument(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name, which owns its parameters: ``gauge_1``."""
+        """Name of the instrument, the owner of its parameters: ``gauge_1``."""
 
     @property
     def columns(self) -> Mapping[str, str]:
-        """Its columns in the measurements, and their units: m, rad or px."""
+        """Columns of the instrument in the measurements, with their units: m, rad or px."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its unknowns; the search starts at their nominal values."""
+        """Unknowns of the instrument; the search starts at their nominal values."""
 
     def evaluate(self, poses: Array, values: Array, measured: Array) -> Residuals:
-        """Return its residuals, their derivatives by the pose, and those by its own parameters.
+        """Return the residuals, and their derivatives by the pose and by the own parameters.
 
-        Residuals are predicted less measured, in the columns' units, angles within ±π, shape
-        (N, r). The pose is the twist of the platform at its origin, linear first, in the axes of
-        the frame of the measurements: shape (N, r, 6). Parameters: shape (N, r, p).
+        Residuals, shape (N, r), are predicted less measured, in the columns' units, angles within
+        ±π. Derivatives by the pose, shape (N, r, 6), are by the twist of the platform at its
+        origin, linear first, in the axes of the frame of the measurements. Derivatives by the
+        parameters have the shape (N, r, p).
 
         Args:
             poses: T_frame_platform, in the frame of the measurements, shape (N, 4, 4).
-            values: Of its parameters, shape (p,).
-            measured: What it read, shape (N, r); NaN where it did not.
+            values: Values of the parameters, shape (p,).
+            measured: Readings of the instrument, shape (N, r); NaN where it has none.
         """
 
 
 def evaluated(instrument: Instrument, poses: Array, values: Array, measured: Array) -> Residuals:
-    """Return what an instrument evaluates, its shapes checked: see ``Instrument.evaluate``."""
+    """Return ``instrument.evaluate(...)``; raise MeasurementError if its shapes are wrong."""
     arrays = instrument.evaluate(poses, values, measured)
     rows = (len(poses), len(instrument.columns))
     shapes = (rows, (*rows, 6), (*rows, len(instrument.parameters)))
     shown = tuple(map(np.shape, arrays)) if isinstance(arrays, tuple) else type(arrays).__name__
     if shown != shapes:
         raise MeasurementError(
-            f"evaluate of instrument {instrument.name!r} gave {shown}; expected residuals, and "
+            f"evaluate of instrument {instrument.name!r} returned {shown}; expected residuals, and "
             "their derivatives by the platform's twist and by its parameters, of the shapes "
             f"{', '.join(map(str, shapes))}"
         )
@@ -315,12 +315,12 @@ def evaluated(instrument: Instrument, poses: Array, values: Array, measured: Arr
 
 
 def fault_of(instrument: Instrument, names: set[str]) -> str:
-    """Return what is wrong with an instrument beside others with names; empty if nothing is."""
+    """Return the fault of an instrument, beside names that are taken; empty if it has none."""
     name = instrument.name
     if name in names or not name.isidentifier():
         return (
-            f"an instrument is named {name!r}; expected a word that no target and no other "
-            "instrument has"
+            f"an instrument is named {name!r}; expected a word that names no target, contact or "
+            "other instrument"
         )
     for column, unit in instrument.columns.items():
         if unit not in ("m", "rad", "px"):
@@ -328,28 +328,28 @@ def fault_of(instrument: Instrument, names: set[str]) -> str:
     for parameter in instrument.parameters:
         if parameter.owner not in (name, *getattr(instrument, "shared", ())):
             return (
-                f"parameter {parameter.id!r} is of instrument {name!r}; expected "
+                f"instrument {name!r} has the parameter {parameter.id!r}; expected "
                 f"'{name}.{parameter.name}'"
             )
     return ""
 
 
 POLAR = ("range", "azimuth", "elevation")
-"""What a tracker measures."""
+"""Quantities that a tracker measures."""
 
 
 @dataclass(frozen=True)
 class Tracker:
-    """An instrument that measures positions by a range and two angles."""
+    """Instrument that measures positions by a range and two angles."""
 
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where its axes meet, in the frame of the measurements, [m]; azimuth is about z."""
+    """Point where its axes meet, in the frame of the measurements, [m]; azimuth is about z."""
     range: float = 0.0
     """Standard deviation of the range, [m]."""
     azimuth: float = 0.0
-    """Of the azimuth, [rad]."""
+    """Standard deviation of the azimuth, [rad]."""
     elevation: float = 0.0
-    """Of the elevation, [rad]."""
+    """Standard deviation of the elevation, [rad]."""
 
     def __post_init__(self) -> None:
         set_point(self, "at", "place of the tracker", MeasurementError)

@@ -1,9 +1,9 @@
-"""A sensor is the law between an active joint and its reading: gain, offset, direction, terms.
+"""Laws of sensors, between an active joint and its reading: gain, offset, direction, terms.
 
-q = k ψ + γ + Σ a_j b_j: linear in all that is unknown. Where a row says more than readings, its
-influence quantities stand beside them, as columns that follow the readings; what is not known of
-them, NaN or no column, is at its reference, where its terms are zero. Lengths and angles that have
-terms follow such a law, too, of no reading: ε = Σ a_j b_j is added to them.
+q = k ψ + γ + Σ a_j b_j is linear in the unknowns. The basis functions b_j depend on the ``known``
+columns of a row: its readings, followed by its influence quantities. An influence that is unknown,
+a NaN or a missing column, is at its reference, where its terms are zero. Lengths and angles that
+have terms follow such a law without a reading: ε = Σ a_j b_j is added to them.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from pincal.types import Array, Index
 if TYPE_CHECKING:
     from pincal.model.leg import Leg
 
-_STEPS = 50  # of Newton's method, at most, from a position to its reading
+_STEPS = 50  # largest number of Newton steps from a position to its reading
 
 
 class PlacedTerm(NamedTuple):
-    """A term at parameter values."""
+    """A term at parameter values, with the indices of what it depends on and changes."""
 
     term: Term
     target: int
-    """Which of the leg's active joints it is added to, or of the parameters that deform."""
+    """Index, among the leg's active joints or deformed parameters, to which it is added."""
     column: int
-    """On which column it depends: a reading, or behind them an influence."""
+    """Index, among the readings and then influences, of the column on which it depends."""
     parameter: int
-    """Which of the leg's parameters its amplitude is."""
+    """Index of its amplitude among the leg's parameters."""
     amplitude: float
 
     def basis(self, known: Array) -> Array:
-        """Return b at what is known of rows, shape (N, n_columns) to (N,); 0 at its reference."""
+        """Return b at the known columns, shape (N, n_columns) to (N,); 0 for unknown influences."""
         if self.column >= known.shape[1]:
             return np.zeros(len(known))
         column = known[:, self.column]
@@ -49,9 +49,9 @@ class PlacedTerm(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorLaw:
-    """Active joints' positions of readings, at parameter values: q = slope ψ + start + terms.
+    """Active joints' positions by readings, at parameter values: q = slope ψ + start + terms.
 
-    What is known of rows are readings, and behind them influences, (N, n_active [+ n_influences]).
+    ``known`` are the readings, then the influences, shape (N, n_active [+ n_influences]).
     """
 
     slope: Array
@@ -67,8 +67,8 @@ class SensorLaw:
     def reading(self, joints: Array, influences: Array | None = None) -> Array:
         """Return the readings ψ of active joints' positions, shapes (N, n_active), [rad] or [m].
 
-        By Newton's method where there are terms; NaN where it finds none. Influences, shape
-        (N, n_influences), are at their reference if not given.
+        With terms, Newton's method solves for them; they are NaN where it does not converge.
+        Influences, shape (N, n_influences), are at their reference if not given.
         """
         readings = (joints - self.start) / self.slope
         if not self.terms:
@@ -85,14 +85,14 @@ class SensorLaw:
         return np.where(lost, np.nan, readings)
 
     def position(self, known: Array) -> Array:
-        """Return the active joints' positions at what is known of rows, shape (N, n_active)."""
+        """Return the active joints' positions at the known columns, shape (N, n_active)."""
         positions = self.slope * known[:, : len(self.slope)] + self.start
         for term in self.terms:
             positions[:, term.target] += term.amplitude * term.basis(known)
         return positions
 
     def slopes(self, known: Array) -> Array:
-        """Return ∂q/∂ψ at what is known, shape (N, n_active), or (n_active,) if everywhere."""
+        """Return ∂q/∂ψ at the known columns, shape (N, n_active), or (n_active,) if constant."""
         if not self.terms:
             return self.slope
         slopes = np.tile(self.slope, (len(known), 1))
@@ -104,13 +104,13 @@ class SensorLaw:
 
     @cached_property
     def parameter_places(self) -> Index:
-        """Which of the leg's parameters change positions, in order, shape (k,)."""
+        """Indices of the leg's parameters that change positions, in order, shape (k,)."""
         linear = np.concatenate((self.slope_by_parameter, self.start_by_parameter)).any(axis=0)
         amplitudes = np.array([term.parameter for term in self.terms], dtype=np.intp)
         return np.union1d(np.flatnonzero(linear), amplitudes)
 
     def by_parameter(self, known: Array) -> Array:
-        """Return ∂q/∂φ by ``parameter_places`` at what is known of rows, shape (N, n_active, k)."""
+        """Return ∂q/∂φ, by ``parameter_places``, at the known columns, shape (N, n_active, k)."""
         readings, places = known.T[: len(self.slope), None], self.parameter_places
         by_slope, by_start = self.slope_by_parameter[:, places], self.start_by_parameter[:, places]
         derivatives = (by_slope[:, :, None] * readings + by_start[:, :, None]).transpose(2, 0, 1)
@@ -123,10 +123,10 @@ class SensorLaw:
 def law_of_sensors(
     leg: Leg, parameters: Mapping[str, float], home: Array, home_by_parameter: Array
 ) -> SensorLaw:
-    """Return the law of a leg's sensors at parameter values, by name, in order.
+    """Return the law of a leg's sensors at parameter values, given by name in order.
 
-    By its active joints' positions at the platform's home pose, shape (n_active,), and their
-    derivatives, shape (n_active, n_params).
+    ``home`` are the active joints' positions at the platform's home pose, shape (n_active,), and
+    ``home_by_parameter`` their derivatives, shape (n_active, n_params).
     """
     laws = [np.hstack(sensor.law(parameters)) for sensor in leg.sensors]
     columns = np.reshape(laws, (len(laws), 2 + 2 * len(parameters)))
@@ -144,9 +144,9 @@ def law_of_sensors(
 
 
 def law_of_deformations(leg: Leg, parameters: Mapping[str, float]) -> SensorLaw:
-    """Return how far the ``leg.deformed`` deform, at parameter values, by name, in order.
+    """Return the law of what is added to the ``leg.deformed``, at values by name in order.
 
-    What is known of rows are zeros in place of readings, n_deformed, then the leg's influences.
+    Its known columns are n_deformed zeros in place of readings, then the leg's influences.
     """
     terms = [(leg.deformed.index(name), term) for name, term in leg.terms]
     owners = [f"{leg.name}.{name}" for name in leg.deformed]
@@ -161,7 +161,7 @@ def _placed(
     terms: Sequence[tuple[int, Term]],
     parameters: Mapping[str, float],
 ) -> tuple[PlacedTerm, ...]:
-    """Return terms, each of one of the owners, whose columns stand before influences."""
+    """Return terms with their indices; the columns are those of the owners, then influences."""
     columns, names, placed = [*owners, *leg.influences], list(parameters), []
     for target, term in terms:
         column = columns.index(term.column(owners[target]) or owners[target])
@@ -172,7 +172,7 @@ def _placed(
 
 @dataclass(frozen=True)
 class Sensor:
-    """Sensor on an active joint, linear but for its terms, in one of the two forms of the papers.
+    """Sensor on an active joint, linear apart from its terms, in one of the papers' two forms.
 
     With joint coordinate q (counted from ``zero``), direction d = ±1, gain k and offset γ:
 
@@ -184,24 +184,24 @@ class Sensor:
     """Name of the active joint."""
     form: Literal["joint", "reading"] = "joint"
     gain: str | float = 1.0
-    """Gain's parameter name, or a constant [1]."""
+    """Parameter name of the gain, or a constant [1]."""
     offset: str | float = 0.0
-    """Offset's parameter name, or a constant [rad] or [m]."""
+    """Parameter name of the offset, or a constant [rad] or [m]."""
     direction: int = 1
     zero: float | Literal["home"] = 0.0
-    """Joint position from which q counts, [rad] or [m]; ``"home"``: the joint's position at the
-    platform's home pose, whatever the parameters, as on machines that are zeroed there."""
+    """Joint position from which q counts, [rad] or [m]; ``"home"`` is the joint's position at the
+    platform's home pose, at any parameters, as on machines that are zeroed there."""
     terms: tuple[Term, ...] = ()
-    """What is added to the joint's position in either form: Σ a_j b_j."""
+    """Terms Σ a_j b_j that are added to the joint's position in either form."""
     counts_per_unit: float | None = field(default=None, repr=False)
-    """Encoder counts of one rad or m of the reading, above 0; None if it is not read in counts."""
+    """Encoder counts per rad or m of the reading, above 0; None if it is not read in counts."""
 
     def __post_init__(self) -> None:
         counts = self.counts_per_unit
         if counts is not None and not 1.0 / LARGEST <= counts <= LARGEST:
             raise MechanismError(
                 f"sensor of {self.joint!r}: counts_per_unit is {counts!r}; expected a number above "
-                "0 (which way it counts is the direction)"
+                "0 (the sign belongs to 'direction')"
             )
 
     @property
@@ -216,13 +216,13 @@ class Sensor:
         return self.direction * gain, offset
 
     def reads_position(self, parameters: Mapping[str, float]) -> bool:
-        """Return whether readings are joint positions at the given parameter values."""
+        """Return whether readings equal joint positions at the given parameter values."""
         return self.constants(parameters) == (1.0, 0.0) and self.zero == 0.0 and not self.terms
 
     def law(self, parameters: Mapping[str, float]) -> tuple[float, float, Array, Array]:
-        """Return slope and start of q = slope ψ + start, and their derivatives by parameters.
+        """Return slope and start of q = slope ψ + start, and their derivatives by the parameters.
 
-        ``parameters`` are values of the leg's, by name, in order.
+        ``parameters`` are the values of the leg's parameters by name, in order.
         """
         gain, offset = self.constants(parameters)
         by_gain = np.array([float(name == self.gain) for name in parameters])

@@ -1,7 +1,7 @@
-"""How a platform is measured: in which frame, at which points of it, from where.
+"""Measuring setup: the frame of the measurements, targets on the platform, and instruments.
 
-By default positions are those of the platform's origin in the robot's base frame. A tracker
-is elsewhere, a reflector sits somewhere on the platform, a cable measures a distance.
+By default positions are those of the platform's origin in the robot's base frame. But a tracker
+stands elsewhere, a reflector sits somewhere on the platform, and a cable measures a distance.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ STEEL = 11.5e-6
 
 @dataclass(frozen=True)
 class Systematic:
-    """Standard uncertainties of what is off by the same in all rows (type B, GUM 4.3).
+    """Standard uncertainties of systematic errors, the same in all rows (type B, GUM 4.3).
 
-    More rows do not make them smaller: they are taken into what is promised, not into weights.
+    More rows do not reduce them: they enter the stated uncertainties, not the weights of the fit.
 
     Example:
         >>> import pincal
@@ -52,24 +52,24 @@ class Systematic:
     """
 
     scale: float = 0.0
-    """Of measured lengths, relative: 20e-6 for 20 µm/m."""
+    """Uncertainty of the scale of measured lengths, relative: 20e-6 for 20 µm/m."""
     temperature: float = 0.0
-    """Of the machine against that at which it is to be right, [K]."""
+    """Uncertainty of the difference from the temperature at which it is to be exact, [K]."""
     expansion: float = STEEL
     """Thermal expansion of the machine, [1/K]."""
     target: float = 0.0
-    """Of the offset of each target that is taken as known, along each axis, [m]."""
+    """Uncertainty of the offset of each target that counts as known, along each axis, [m]."""
 
     def __post_init__(self) -> None:
         check_sizes(self, tuple(vars(self)), "systematic uncertainty, its", MeasurementError)
 
     @property
     def relative(self) -> float:
-        """Standard uncertainty of all lengths together, relative."""
+        """Relative standard uncertainty that all lengths share."""
         return hypot(self.scale, self.temperature * self.expansion)
 
 
-_FAR = 3.0  # times the longest leg: no target is that far from its platform
+_FAR = 3.0  # targets farther from the platform, in lengths of the longest leg, are refused
 
 
 @dataclass(frozen=True)
@@ -77,12 +77,12 @@ class Target:
     """A point of the platform whose position is measured."""
 
     offset: Point = (0.0, 0.0, 0.0)
-    """In the platform frame, [m]; where the search starts if unknown."""
+    """Position in the platform frame, [m]; if unknown, the search starts there."""
     unknown: bool = option(
         False, "Where the measured point sits on the platform is unknown.", name="unknown_target"
     )
-    """The offset is then identified; of ``platform``, also how the measured orientation is turned
-    against the platform's."""
+    """Whether to identify the offset; for the target ``platform``, also the rotation of the
+    measured orientation relative to the platform's."""
 
     def __post_init__(self) -> None:
         set_point(self, "offset", "offset of a target", MeasurementError)
@@ -91,29 +91,29 @@ class Target:
 
 @dataclass(frozen=True)
 class Setup:
-    """What measured numbers mean."""
+    """Meaning of the measured columns: frame, targets, contacts, distances and instruments."""
 
     unknown_frame: bool = option(False, "The pose of the base in the measurement frame is unknown.")
     targets: Mapping[str, Target] = field(default_factory=lambda: {ORIGIN: Target()})
-    """``platform`` is the target of x, y, z; another target t of the columns t_x, t_y, t_z."""
+    """Targets by name; ``platform`` has the columns x, y, z, another target t t_x, t_y, t_z."""
     distances: Mapping[str, Distance] = field(default_factory=dict)
-    """By column."""
+    """Distances by column."""
     contacts: Mapping[str, Contact] = field(default_factory=dict)
-    """By column: each row has the name of the point that is touched, or nothing."""
+    """Contacts by column; each row has the name of the touched feature, or is empty."""
     mark: str = ORIGIN
-    """Target that marks where rows stood, such as a pen, of distances between them."""
+    """Target, such as a pen, between whose positions in two rows distances are measured."""
     headers: Mapping[str, str] = field(default_factory=dict)
-    """Columns of other programs by their headers, as ``leg_1``, or ``leg_1 [mm]``."""
+    """Meaning of other programs' headers: ``leg_1``, or with its unit ``leg_1 [mm]``."""
     instruments: tuple[Instrument, ...] = ()
-    """Instruments of one's own, each with its columns and unknowns."""
+    """Further instruments, each with its columns and unknowns."""
     corners: str | None = None
-    """File of what cameras saw: a table with the columns ``point``, ``u [px]``, ``v [px]`` and
-    ``row`` (of the measurements, from 1) or ``image`` (a column of these), further ``camera`` and
-    ``sigma [px]``. Without one, pixels are in columns of the measurements."""
+    """File of points in cameras' images: a table with the columns ``point``, ``u [px]``, ``v [px]``
+    and ``row`` (of the measurements, from 1) or ``image`` (named in them), and optionally
+    ``camera`` and ``sigma [px]``. Without it, pixels are in columns of the measurements."""
     tracker: Tracker | None = None
-    """What measures positions by a range and angles, if their noise is to be said so."""
+    """Tracker that measures positions, if the noise of its range and angles is to be used."""
     systematic: Systematic = field(default_factory=Systematic)
-    """Uncertainties of what is off by the same in all rows."""
+    """Standard uncertainties of systematic errors."""
 
     def __post_init__(self) -> None:
         must_be(self.unknown_frame, bool, "unknown_frame", MeasurementError)
@@ -129,8 +129,8 @@ class Setup:
         for relation in self.relations(3):
             if relation.target not in self.targets:
                 raise MeasurementError(
-                    f"{relation.name!r} is measured to a target {relation.target!r}; expected one "
-                    f"of {', '.join(self.targets)}"
+                    f"{relation.name!r} is measured to an unknown target {relation.target!r}; "
+                    f"expected one of {', '.join(self.targets)}"
                 )
         must_be(self.corners, (str, type(None)), "corners", MeasurementError)
         must_be(self.tracker, (Tracker, type(None)), "tracker", MeasurementError)
@@ -149,11 +149,11 @@ class Setup:
     @staticmethod
     @attached
     def from_yaml(path: str | Path) -> Setup:
-        """Return the setup that a YAML file says.
+        """Return the setup in a YAML file.
 
         Raises:
             FileError: the file is missing or cannot be read.
-            MeasurementError: it does not parse, or says something else than it should.
+            MeasurementError: the file does not parse, or an entry is wrong.
         """
 
     def __repr__(self) -> str:
@@ -173,19 +173,19 @@ class Setup:
         )
 
     def anywhere(self, *, frame: bool = False, target: bool = False) -> Setup:
-        """Return the setup with the frame unknown, or where on the platform the target sits."""
+        """Return the setup with the frame, or the offset of the target ``platform``, unknown."""
         point = replace(self.targets[ORIGIN], unknown=target or self.targets[ORIGIN].unknown)
         targets = {**self.targets, ORIGIN: point}
         return replace(self, unknown_frame=frame or self.unknown_frame, targets=targets)
 
     def of_rows(self, names: Mapping[str, Sequence[str]]) -> Setup:
-        """Return the setup with all that rows are measured from each other.
+        """Return the setup with the distances that are measured between rows.
 
-        In the column ``distance_1`` from the row whose name stands in that of ``distance_1_to``;
-        ``dx_1``, ``dy_1``, ``dz_1`` are coordinates less those of that row.
+        The column ``distance_1`` is the distance from the row that ``distance_1_to`` names;
+        ``dx_1``, ``dy_1`` and ``dz_1`` are the coordinates less those of that row.
 
         Args:
-            names: Names by column, ``row`` and those ending in ``_to``, empty for none.
+            names: Names of rows by column, ``row`` and those ending in ``_to``; empty for none.
         """
         columns = [name for name in names if name.endswith(TO)]
         rows = dict.fromkeys(name for column in columns for name in names[column] if name)
@@ -200,7 +200,7 @@ class Setup:
 
     @property
     def led(self) -> Setup:
-        """The setup of the contacts alone to which a machine is led: those without a gauge."""
+        """The setup with only the contacts to which the machine is led, those without a gauge."""
         contacts = {n: c for n, c in self.contacts.items() if n != ROW and not c.gauge}
         return replace(self, distances={}, contacts=contacts)
 
@@ -211,7 +211,7 @@ class Setup:
 
     @property
     def plain(self) -> bool:
-        """Whether poses are those of the platform in the base frame, and nothing else."""
+        """Whether poses are of the platform in the base frame, and nothing else is measured."""
         further = (self.distances, self.contacts, self.instruments)
         return not (self.unknown_frame or any(further) or self.targets != {ORIGIN: Target()})
 
@@ -223,7 +223,7 @@ class Setup:
 
     @property
     def device_parameters(self) -> dict[str, tuple[Parameter, float]]:
-        """Parameters of all instruments by id, shared ones once, and their standard deviations."""
+        """Instruments' parameters and prior standard deviations by id, shared parameters once."""
         parameters = dict[str, tuple[Parameter, float]]()
         for instrument in self.instruments:
             priors: Mapping[str, float] = getattr(instrument, "priors", {})
@@ -231,19 +231,19 @@ class Setup:
                 entry = parameter, priors.get(parameter.id, np.inf)
                 if parameters.setdefault(parameter.id, entry) != entry:
                     raise MeasurementError(
-                        f"parameter {parameter.id!r} is shared by instruments that say different "
-                        "things of it; give one name to what is one, another to what is not"
+                        f"instruments share the parameter {parameter.id!r} with other values or "
+                        "priors; make them equal, or give the parameters different names"
                     )
         return parameters
 
     @property
     def frameless(self) -> bool:
-        """Whether what measures has neither a frame of its own nor a measure of length."""
+        """Whether the setup has contacts or cameras, which alone measure no pose."""
         return bool(self.contacts or self.pixels)
 
     @property
     def required(self) -> dict[str, str]:
-        """Columns that tables of measurements must have, and whose they are; not of corners."""
+        """Columns that measurements must have, with their meaning, without pixels in corners."""
         elsewhere = self.pixels if self.corners else set()
         named = dict.fromkeys(self.distances, "a distance that the setup names")
         named |= dict.fromkeys(self.contacts, "which says what is touched in each row")
@@ -257,7 +257,7 @@ class Setup:
 
     @property
     def touched(self) -> dict[str, tuple[str, str, Contact]]:
-        """Column, name and contact of each feature that is met, as ``socket_A`` of ``A``."""
+        """Column, name and contact of each touched feature by id: ``socket_A`` for ``A``."""
         return {
             f"{column}_{name}": (column, name, contact)
             for column, contact in self.contacts.items()
@@ -266,15 +266,15 @@ class Setup:
 
     @property
     def features(self) -> dict[str, tuple[str, str, Contact]]:
-        """All features by id, those that are touched and known points of distances."""
+        """All features by id: touched ones, then the known points of distances."""
         known = {column: d.point for column, d in self.distances.items() if d.point}
         points = {c: (c, c, Contact({c: point})) for c, point in known.items()}
         return {**self.touched, **points}
 
     def feature_places(self, space: int) -> tuple[Array, Array, Array]:
-        """Return coordinates of features, their standard deviations, 0 if known, and axes.
+        """Return the features' coordinates, their standard deviations (0 if known), and axes.
 
-        Shapes (n, 6), (n, 6) and (n, 3, 3): see ``Contact.place``.
+        Their shapes are (n, 6), (n, 6) and (n, 3, 3): see ``Contact.place``.
         """
         parts = [c.place(name, space) for _, name, c in self.features.values()]
         values, sigmas = np.reshape(parts, (-1, 2, 6)).transpose(1, 0, 2)
@@ -282,34 +282,34 @@ class Setup:
         return values, sigmas, np.reshape(axes, (-1, 3, 3))
 
     def relations(self, space: int) -> list[Relation]:
-        """Return what targets meet, distances first; in space or, 2, in the plane."""
+        """Return all relations, distances first, of a machine in space (3) or the plane (2)."""
         parts: dict[str, Distance | Contact] = {**self.distances, **self.contacts}
         return [part.relation(name, space) for name, part in parts.items()]
 
     @property
     def read_lengths(self) -> list[str]:
-        """Columns of lengths that distances and gauges read."""
+        """Columns of the lengths that are read, of distances and gauges."""
         return [name for relation in self.relations(3) for name in relation.read]
 
     def measured(self, mechanism: Mechanism) -> tuple[str, ...]:
-        """Return what is measured if nobody says less: no pose where contacts or cameras are."""
+        """Return the quantities measured by default: no pose with contacts or cameras."""
         if not self.frameless:
             return (*mechanism.platform.freedoms, *self.columns(mechanism))
         instruments = (column for device in self.instruments for column in device.columns)
         return tuple(dict.fromkeys((*self.required, *instruments)))
 
     def quantities(self, platform: Platform, names: Iterable[str]) -> tuple[str, ...]:
-        """Return names of quantities, in place of a contact's those that it stands for."""
+        """Return names of quantities; a contact's name is replaced by its quantities."""
         axes = self.contact_axes(platform)
         return tuple(dict.fromkeys(name for part in names for name in axes.get(part, [part])))
 
     def contact_axes(self, platform: Platform) -> dict[str, list[str]]:
-        """Return the quantities of each contact: by how much what is touched is missed."""
+        """Return the quantities of each contact: the misses of the touched features."""
         relations = self.relations(platform.space)
         return {r.name: list(r.quantities) for r in relations if r.name in self.contacts}
 
     def noises(self, platform: Platform) -> dict[str, float]:
-        """Return standard deviations that the setup says, by quantity, [m]."""
+        """Return the standard deviations that the setup gives, by quantity, [m]."""
         relations = self.relations(platform.space)
         return {q: r.noise for r in relations if r.noise is not None for q in r.quantities}
 
@@ -320,15 +320,15 @@ class Setup:
         return {name: [f"{stem}{axis}" for axis in axes] for name, stem in stems.items()}
 
     def points(self, platform: Platform) -> dict[str, str]:
-        """Return the columns of further targets' positions, and their units."""
+        """Return the columns of further targets' positions, with their units."""
         further = {**self.positions(platform), ORIGIN: []}
         return {name: "m" for columns in further.values() for name in columns}
 
     def columns(self, mechanism: Mechanism) -> dict[str, str]:
-        """Return columns that this setup adds to those of the pose, and their units.
+        """Return the columns that this setup adds to those of the pose, with their units.
 
         Raises:
-            MeasurementError: a column that means something else; a target far off the mechanism.
+            MeasurementError: a column already has a meaning, or a target is far off the mechanism.
         """
         size = mechanism.size
         for name, target in self.targets.items():
@@ -340,7 +340,7 @@ class Setup:
                 )
         if shared := {item.name for item in self.instruments} & set(mechanism.leg_names):
             raise MeasurementError(
-                f"an instrument is named {min(shared)!r}, as a leg of {mechanism.name!r}; choose "
+                f"an instrument is named {min(shared)!r}, like a leg of {mechanism.name!r}; choose "
                 "another name"
             )
         platform = mechanism.platform

@@ -1,9 +1,9 @@
-"""Terms of sensors and parameters: known functions of what a row says, times unknown amplitudes.
+"""Terms of sensors and parameters: known functions of a row's columns times unknown amplitudes.
 
-What is not geometry lives in the joint's reading: q = k ψ + γ + Σ a_j b_j; and a parameter is a
-joint, so it may be p + Σ a_j b_j. Each b_j is a number for each row, of its reading or of an
-influence quantity beside it (temperature, time, side of approach, load), scaled so that its
-amplitude is in the joint's own unit. Linear in the unknowns.
+Errors beyond the geometry are modelled in the joint's reading: q = k ψ + γ + Σ a_j b_j; and since
+a parameter is a joint, it may be p + Σ a_j b_j. Each b_j is a function of the row's reading or of
+an influence quantity (temperature, time, side of approach, load), scaled so that its amplitude is
+in the joint's own unit. The model is linear in the unknowns.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from pincal.types import Array, Point
 APPROACH = "approach"
 LOAD = "load"
 OF_JOINTS = (APPROACH, LOAD)
-"""Influences of each joint for itself, that follow from the rows where no column gives them; a
+"""Influences that each joint has for itself, computed from the rows where no column gives them; a
 length or angle is a joint too, and has a load."""
 
 
 @dataclass(frozen=True)
 class Harmonic:
-    """Sine or cosine of a multiple of the reading: eccentric gears, encoders, screws.
+    """Sine or cosine of a multiple of the reading, as of eccentric gears, encoders and screws.
 
-    ``order`` periods in one of the reading: a turn, or ``period`` [rad] or [m] where it is given.
-    A motor geared 1 : 50 turns 50 times in one turn of the joint: order 50, 100, ….
+    It has ``order`` periods in each ``period`` [rad] or [m] of the reading, by default a turn. A
+    motor geared 1 : 50 turns 50 times in one turn of the joint: order 50, 100, ….
     """
 
     order: float
@@ -45,11 +45,11 @@ class Harmonic:
 
     @property
     def rate(self) -> float:
-        """Radians of the angle by one unit of the reading."""
+        """Derivative of the harmonic's angle by the reading, [rad/rad] or [rad/m]."""
         return 2.0 * np.pi * self.order / self.period
 
     def __call__(self, value: Array) -> Array:
-        """Return the sine or cosine."""
+        """Return the sine or cosine at readings, of the same shape."""
         turn = self.rate * value
         return np.sin(turn) if self.phase == "sine" else np.cos(turn)
 
@@ -61,9 +61,9 @@ class Harmonic:
 
 @dataclass(frozen=True)
 class Power:
-    """A power of the reading over a range: what a screw or belt is off, as a polynomial.
+    """Power of the reading over a range, as for the error of a screw or belt as a polynomial.
 
-    1 at ``centre`` + ``range``; powers 0 and 1 are offset and gain, which sensors have.
+    It is 1 at ``centre`` + ``range``. Powers 0 and 1 are the sensor's offset and gain.
 
     Example:
         >>> import pincal
@@ -74,7 +74,7 @@ class Power:
 
     power: int
     range: float
-    """[rad] or [m]."""
+    """Distance of the reading from the centre at which the power is 1, [rad] or [m]."""
     centre: float = 0.0
 
     def __post_init__(self) -> None:
@@ -83,7 +83,7 @@ class Power:
         count_of(self.power, "a power", MechanismError, 2, 20)  # 0 and 1 are offset and gain
 
     def __call__(self, value: Array) -> Array:
-        """Return the power."""
+        """Return the power at readings, of the same shape."""
         return ((value - self.centre) / self.range) ** self.power
 
     def slope(self, value: Array) -> Array:
@@ -94,10 +94,10 @@ class Power:
 
 @dataclass(frozen=True)
 class Share:
-    """A column's excess over a reference, in so many units: 1 at ``reference`` + ``per``.
+    """A column's excess over a reference, divided by ``per``: 1 at ``reference`` + ``per``.
 
-    ``per`` may be negative, as for a coordinate that is: all lengths of a leg that grow by one
-    share a of them have terms with the amplitude a, each by ``per`` over its length.
+    If all lengths of a leg grow by the same relative amount, their terms share one amplitude, each
+    with ``per`` divided by its length; ``per`` is negative for a negative coordinate.
 
     Example:
         >>> import pincal
@@ -118,7 +118,7 @@ class Share:
             )
 
     def __call__(self, value: Array) -> Array:
-        """Return the share."""
+        """Return the share at values of the column, of the same shape."""
         return (value - self.reference) / self.per
 
     def slope(self, value: Array) -> Array:
@@ -127,7 +127,7 @@ class Share:
 
 
 def _check(name: str, value: float, *, positive: bool = False) -> None:
-    """Raise unless a number is finite, and above 0 if it has to be."""
+    """Raise MechanismError unless a number is finite, and above 0 if ``positive``."""
     if not abs(number_of(value, name, MechanismError)) < np.inf or (positive and value <= 0.0):
         expected = "a number above 0" if positive else "a finite number"
         raise MechanismError(f"{name} is {value!r}; expected {expected}")
@@ -135,25 +135,25 @@ def _check(name: str, value: float, *, positive: bool = False) -> None:
 
 @dataclass(frozen=True)
 class Term:
-    """A known function b of a row times an unknown amplitude a: a b, added to a joint's position.
+    """Known function b times an unknown amplitude a; the product is added to a joint's position.
 
-    Such as the sine of a geared motor's angle, or the sag of a spool. By the reading, its slope
-    must be so small that q(ψ) remains monotonic. Of a leg's parameter (``Leg.terms``) it is added
-    to that: a link that grows with temperature, or stretches under its load.
+    Examples are the sine of a geared motor's angle and the sag of a spool. If b depends on the
+    reading, a db/dψ must be so small that q(ψ) remains monotonic. A term of a leg's parameter
+    (``Leg.terms``) is added to it: a link grows with temperature, or stretches under its load.
     """
 
     parameter: str
     """Name of the amplitude a, a parameter of the leg."""
     basis: Callable[[Array], Array]
-    """b by the reading ψ [rad] or [m], or by the influence, of the same shape."""
+    """Function b of the reading ψ [rad] or [m], or of the influence; it keeps the shape."""
     slope: Callable[[Array], Array] | None = None
-    """db/dψ, likewise; that of the basis, ``basis.slope``, if not given."""
+    """Derivative db/dψ, likewise; by default ``basis.slope``."""
     unit: str = ""
-    """Of the amplitude: that of q over that of b; that of q, or of the parameter, if not given."""
+    """Unit of the amplitude, that of q over that of b; by default that of q or the parameter."""
     of: str = ""
-    """Influence quantity on which b depends, a column of the measurements: ``"temperature"``,
-    ``"time"``, any other; ``"approach"`` and ``"load"`` of this sensor's own joint, ``"load"`` of
-    this parameter. The reading if empty."""
+    """Influence quantity on which b depends: a column of the measurements such as
+    ``"temperature"`` or ``"time"``; ``"approach"`` or ``"load"`` of the sensor's own joint;
+    ``"load"`` of the parameter. Empty for the reading."""
 
     def __post_init__(self) -> None:
         if self.slope is None and not callable(getattr(self.basis, "slope", None)):
@@ -164,24 +164,24 @@ class Term:
 
     @property
     def slope_of(self) -> Callable[[Array], Array]:
-        """db/dψ."""
+        """The derivative db/dψ, by ``slope`` or the basis."""
         basis: Any = self.basis
         slope: Callable[[Array], Array] = self.slope or basis.slope
         return slope
 
     def column(self, owner: str) -> str:
-        """Return the influence's column, of the reading or parameter that has the term, or ""."""
+        """Return the influence's column; ``owner`` is the reading or parameter with the term."""
         return f"{self.of}_{owner}" if self.of in OF_JOINTS else self.of
 
     @property
     def has_form(self) -> bool:
-        """Whether a folder can hold it: one of the forms above, no function of one's own."""
+        """Whether a file can hold the term: its basis is a form above, no user's function."""
         return self.slope is None and isinstance(self.basis, Harmonic | Power | Share)
 
 
 @dataclass(frozen=True)
 class Cables:
-    """Limits between which the tension of every cable stays: cables only pull.
+    """Limits of the tension of every cable; cables only pull.
 
     Example:
         >>> import pincal
@@ -190,21 +190,21 @@ class Cables:
     """
 
     least: float = 0.0
-    """[N]."""
+    """Smallest tension, [N]."""
     most: float = np.inf
-    """[N]."""
+    """Largest tension, [N]."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.least < self.most:
             raise MechanismError(
-                f"tensions of cables are between {self.least!r} and {self.most!r}; expected a "
-                "least of 0 or more, and a most above it [N]"
+                f"limits of tensions are {self.least!r} and {self.most!r} [N]; expected 'least' of "
+                "0 or more, and 'most' above it"
             )
 
 
 @dataclass(frozen=True)
 class Load:
-    """The weight of platform and payload, on which terms may depend (``of="load"``).
+    """Weight of platform and payload, on which terms may depend (``of="load"``).
 
     Example:
         >>> import pincal
@@ -214,16 +214,16 @@ class Load:
     """
 
     mass: float = 0.0
-    """Of platform and payload, [kg]."""
+    """Mass of platform and payload, [kg]."""
     centre: Point = (0.0, 0.0, 0.0)
-    """Of that mass, in the platform's frame, [m]."""
+    """Centre of that mass, in the platform's frame, [m]."""
     gravity: Point = (0.0, 0.0, -9.81)
     """Acceleration in the base's frame, [m/s²]."""
     drawn: tuple[tuple[str, float], ...] = ()
-    """Parameters of the machine whose loads these are, by id: those of the drawing, so that loads
-    of a row are the same before and after calibration. The mechanism's own if empty."""
+    """Parameters by id at which loads are computed: those of the drawing, so that the loads of a
+    row are the same before and after calibration. Empty for the mechanism's own parameters."""
     assumed: bool = False
-    """Whether it stands for a weight that nobody said, to which amplitudes are in proportion."""
+    """Whether the weight is not known but assumed; amplitudes are then relative to it."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.mass < np.inf:
