@@ -60,8 +60,8 @@ def assemble(fits: Fits) -> CalibrationResult:
         parts = D @ by_noise[n:, n:] @ D.T, D @ by_systematic[n:], D @ held[n:]
         std = np.append(std, _standard_errors(*parts))
         freedoms = np.append(freedoms[:n], np.full(len(D), least))
-    identified = _identified(fits, std, quantiles(freedoms) * std)
-    legs, observed = _residuals(fits, identified[:n])
+    identified = _identified_parameters(fits, std, quantiles(freedoms) * std)
+    legs, observed = _residual_groups(fits, identified[:n])
     least = float(freedoms.min(initial=np.inf))
     poses = mechanism.platform.from_matrices(fits.fits[0].last.state.matrices)
     return CalibrationResult(
@@ -71,7 +71,7 @@ def assemble(fits: Fits) -> CalibrationResult:
         external=identified[n:],
         covariance=by_noise[:n, :n] + systematic_part,
         systematic=systematic_part if by_systematic.size else None,
-        noise=_noise(calibration, chi2),
+        noise=_final_noise(calibration, chi2),
         noise_source=calibration.noise.source,
         degrees_of_freedom=dof,
         reduced_chi2=float(chi2),
@@ -82,7 +82,7 @@ def assemble(fits: Fits) -> CalibrationResult:
         left=max(fit.distance for fit in fits.fits),
         converged=fits.converged,
         outliers=_merged_outliers(fits.fits),
-        misses=_misses(fits),
+        misses=_errors_without_row(fits),
         gauge=gauge.found if gauge else (),
         gauge_directions=gauge.of_legs if gauge else None,
         frames_moved=_frames_moved(calibration, gauge),
@@ -133,7 +133,7 @@ def chi2_freedoms(fits: Sequence[Fit]) -> float:
     return total**2 / (total + 2.0 * shared) if total else 0.0
 
 
-def _misses(fits: Fits) -> tuple[float, float]:
+def _errors_without_row(fits: Fits) -> tuple[float, float]:
     """Return root mean square errors at rows by fits without them, [m] and [rad]; NaN if unknown.
 
     To first order such a fit leaves r₋ = (1 − H)⁻¹ r of a row, H = Q Qᵀ there (D. M. Allen 1974);
@@ -274,7 +274,7 @@ def _standard_errors(covariance: Array, by_systematic: Array, held: Array) -> Ar
     return np.asarray(np.where(moved > _UNMOVED * std, np.inf, std))
 
 
-def _noise(calibration: Calibration, chi2: float) -> Noise | None:
+def _final_noise(calibration: Calibration, chi2: float) -> Noise | None:
     """Return the noise of all rows; estimated noise is scaled to a reduced χ² of 1."""
     model = calibration.noise
     if model.source == "rows" or model.known or not np.isfinite(chi2):
@@ -282,7 +282,7 @@ def _noise(calibration: Calibration, chi2: float) -> Noise | None:
     return Noise(*(float(np.sqrt(chi2)) * value for value in vars(model.noise).values()))
 
 
-def _identified(fits: Fits, std: Array, half: Array) -> tuple[IdentifiedParameter, ...]:
+def _identified_parameters(fits: Fits, std: Array, half: Array) -> tuple[IdentifiedParameter, ...]:
     """Return parameters of the legs, then of frames and targets, with half intervals, (n,)."""
     calibration, options = fits.calibration, fits.calibration.options
     outside, began = calibration.observation.external, fits.fits[0].first.state.external
@@ -310,7 +310,7 @@ def _identified(fits: Fits, std: Array, half: Array) -> tuple[IdentifiedParamete
     return tuple(identified)
 
 
-def _residuals(
+def _residual_groups(
     fits: Fits, parameters: Sequence[IdentifiedParameter]
 ) -> tuple[tuple[ResidualGroup, ...], tuple[ResidualGroup, ...]]:
     """Return the residuals of the legs and, if poses were unknowns, of the platform."""
@@ -330,14 +330,14 @@ def _residuals(
                 parameters=tuple(p for p in parameters if p.owner == leg.name),
                 rank=determined.rank,
                 condition=determined.condition,
-                **_columns(fit, counted, before, after.value, after.sigma, shares[index]),
+                **_group_fields(fit, counted, before, after.value, after.sigma, shares[index]),
             )
         if fits.latent:
-            observed = _of_platform(fit, shares[-1])
+            observed = _platform_residuals(fit, shares[-1])
     return tuple(legs[name] for name in fits.calibration.mechanism.leg_names), tuple(observed)
 
 
-def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
+def _platform_residuals(fit: Fit, shares: Array) -> list[ResidualGroup]:
     """Return the residuals of the platform's measured quantities; redundancies are (N, r)."""
     observation, n_legs = fit.problem.observation, fit.problem.leg_block.n_rows
     before, after = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
@@ -355,7 +355,7 @@ def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
         if counted.any():
             quantity, unit = observation.names[column], observation.units[column]
             parts = (part[:, column] for part in (before, after, observation.sigma, shares))
-            fields = _columns(fit, counted, *parts)
+            fields = _group_fields(fit, counted, *parts)
             if name in between:  # all of a kind together
                 name = quantity = name.partition("_")[0]
                 if groups and groups[-1].name == name:
@@ -365,7 +365,7 @@ def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
     return groups
 
 
-def _columns(
+def _group_fields(
     fit: Fit, counted: Mask, before: Array, after: Array, sigma: Array, shares: Array
 ) -> dict[str, Any]:
     """Return fields of ``ResidualGroup`` for counted rows, from arrays of shape (N[, k])."""

@@ -327,14 +327,14 @@ def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
         yield explained
         if not explained and any(in_setup.short_legs()):
             return  # nothing else is wrong
-        yield _rejecting([first, *explained])
+        yield _with_rows_rejected([first, *explained])
     if not calibration.options.rough:
         rough = _attempt((), calibration.with_options(rough=True))
         yield [rough]
-        yield _rejecting([rough])
+        yield _with_rows_rejected([rough])
 
 
-def _rejecting(remedies: Sequence[Remedy]) -> list[Remedy]:
+def _with_rows_rejected(remedies: Sequence[Remedy]) -> list[Remedy]:
     """Return the remedies with rows rejected that do not fit, where these are few."""
     few = []
     for remedy in remedies:

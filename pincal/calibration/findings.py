@@ -36,18 +36,19 @@ _SPREAD = 0.5  # share of the run over which these must be spread
 def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     """Return the findings of a result, by its numbers and by the residuals of its fits."""
     held, lacks, rows = fits.held, list[Finding](), list[Finding]()
-    first, astray, noise, far = list[Finding](), list[Finding](), _noise(result), _far(result)
+    first, astray = list[Finding](), list[Finding]()
+    noise, far = _noise_findings(result), _implausible_changes(result)
     if held is not None and (held.groups or held.weak):  # a misfit may be why a search went astray
         place = astray if held.fewest else first
         place.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
-    first += [*_zeros(result)]
+    first += [*_zeros_found(result)]
     first += [finding("tolerance-found", **vars(size)) for size in result.calibration.tolerances]
-    few = _few(result)
+    few = _few_poses(result)
     if rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
         return (*first, *noise, *astray, *far, *few)
     if result.converged:
-        noise = noise or _proportion(fits)
+        noise = noise or _noise_proportion(fits)
         lacks = lacking(fits)
     lacks = moved_cameras(fits) or lacks
     outliers, total = result.outliers, len(result.measurements)
@@ -60,7 +61,7 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     return (*first, *noise, *astray, *lacks, *far, *rows, *few)
 
 
-def _few(result: CalibrationResult) -> list[Finding]:
+def _few_poses(result: CalibrationResult) -> list[Finding]:
     """Return a finding for legs with few poses for their parameters, equal numbers together."""
     few: dict[tuple[int, int], list[str]] = {}
     for leg in result.legs:
@@ -87,8 +88,8 @@ def rounding(fits: Fits) -> bool:
     return all(np.abs(part).max(initial=0.0) <= limit for part in parts)
 
 
-def _zeros(result: CalibrationResult) -> list[Finding]:
-    pairs = zip(_of_legs(result), result.calibration.shift, strict=True)
+def _zeros_found(result: CalibrationResult) -> list[Finding]:
+    pairs = zip(_leg_parameters(result), result.calibration.shift, strict=True)
     moved = [parameter for parameter, shift in pairs if shift]
     if not moved or result.options.rough:
         return []
@@ -96,11 +97,11 @@ def _zeros(result: CalibrationResult) -> list[Finding]:
     return [finding("zeros-found", parameters=[p.id for p in moved], changes=changes)]
 
 
-def _of_legs(result: CalibrationResult) -> list[IdentifiedParameter]:
+def _leg_parameters(result: CalibrationResult) -> list[IdentifiedParameter]:
     return [parameter for leg in result.legs for parameter in leg.parameters]
 
 
-def _noise(result: CalibrationResult) -> list[Finding]:
+def _noise_findings(result: CalibrationResult) -> list[Finding]:
     dof, chi2, noise = result.degrees_of_freedom, result.reduced_chi2, result.noise
     if noise and result.noise_source == "estimated":
         columns = result.calibration.observation
@@ -117,7 +118,7 @@ def _noise(result: CalibrationResult) -> list[Finding]:
     return [finding(code, chi2=chi2, dof=dof, source=result.noise_source)]
 
 
-def _proportion(fits: Fits) -> list[Finding]:
+def _noise_proportion(fits: Fits) -> list[Finding]:
     """Return a finding if some measured quantities are noisier than given, others less.
 
     It is a score test of variance components at the given noise: q has the mean F 1 and the
@@ -170,11 +171,11 @@ def lacking(fits: Fits) -> list[Finding]:
             worst, fit = scored[int(np.argmax(of_kind))]
             excess = (fit.chi2 - fit.degrees_of_freedom) * fits.calibration.noise.known
             if worst.share * fit.chi2 >= _EXPLAINS * excess:
-                clear.append(_followed(p_value, worst, fit, data))
+                clear.append(_named_error(p_value, worst, fit, data))
     return clear
 
 
-def _followed(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
+def _named_error(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
     """Return a finding for an error that residuals follow, or for a pose that moved with time."""
     values: dict[str, Any] = {"quantity": worst.quantity, "p_value": p_value}
     if worst.correlation:
@@ -199,10 +200,10 @@ def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:
     }
 
 
-def _far(result: CalibrationResult) -> list[Finding]:
+def _implausible_changes(result: CalibrationResult) -> list[Finding]:
     """Return a finding if parameters moved, or noise might move them, implausibly far."""
     options = result.options
-    parameters = _of_legs(result)
+    parameters = _leg_parameters(result)
     plausible = plausible_changes(result.nominal)
     values: dict[str, Any]
     std, half = (np.array(v) for v in zip(*((p.std, p.half) for p in parameters), strict=True))

@@ -149,7 +149,7 @@ def fitted(
         patience: Largest number of evaluations of a search of all legs; None for the usual number.
     """
     latent = calibration.options.latent
-    fits = _all_legs(calibration, near, rows, patience) if latent else _measured(calibration)
+    fits = _all_legs(calibration, near, rows, patience) if latent else _legs_alone(calibration)
     known = calibration.fixed_noise or calibration.noise.known
     return fits if known else _with_estimated_noise(fits)
 
@@ -166,9 +166,9 @@ def _with_estimated_noise(fits: Fits) -> Fits:
         estimate = _noise_of(fits, assumed, tie, exact=exact)
         if tie is None and (tie := tie_of(fits.fits[0], estimate, plausible)):
             estimate = _noise_of(fits, assumed, tie, exact=exact)
-        if _agree(fits.noise, estimate):
+        if _same_noise(fits.noise, estimate):
             break
-        fits = _again(fits, estimate)
+        fits = _refitted(fits, estimate)
     fits = replace(fits, fits=with_exact_readings(fits.fits, fits.noise, assumed))
     moments = fits.moments
     if not fits.sound or moments.rounding:
@@ -200,10 +200,10 @@ def _at_noise(fits: Fits, noise: Noise) -> Fits:
     return replace(fits, calibration=calibration, fits=refits)
 
 
-def _again(fits: Fits, noise: Noise) -> Fits:
+def _refitted(fits: Fits, noise: Noise) -> Fits:
     """Return fits at other noise, begun where these ended."""
     calibration = fits.calibration.with_noise(noise)
-    return _all_legs(calibration, fits) if fits.latent else _measured(calibration)
+    return _all_legs(calibration, fits) if fits.latent else _legs_alone(calibration)
 
 
 def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> Noise:
@@ -215,14 +215,14 @@ def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> No
         fits = replace(fits, fits=with_exact_readings(fits.fits, fits.noise, assumed))
         moments, noise, unit = fits.moments, fits.noise, fits.reading_unit
         estimate = estimated_noise(moments, noise, unit, assumed, exact=exact, tie=tie)
-        if moments.rounding or _agree(noise, estimate):
+        if moments.rounding or _same_noise(noise, estimate):
             break
         fits = _at_noise(fits, estimate)
     scale = moments.scale**0.5 or 1.0  # differs from 1 because of the assumptions
     return Noise(*(scale * value for value in vars(fits.noise).values()))
 
 
-def _agree(noise: Noise, estimate: Noise) -> bool:
+def _same_noise(noise: Noise, estimate: Noise) -> bool:
     changes = zip(vars(noise).values(), vars(estimate).values(), strict=True)
     return all(abs(a - b) <= SETTLED * max(a, b) for a, b in changes)
 
@@ -242,7 +242,7 @@ def _all_legs(
     problem, unknowns = calibration.latent_problem, calibration.unknowns
     if options.setup.plain and not options.tied and (options.strict or not calibration.noise.known):
         calibration.check_counts()
-    start, gauge, first = _beginning(problem, begin, rows)
+    start, gauge, first = _search_start(problem, begin, rows)
     problem = calibration.started(problem) if first is None else replace(problem, first=first)
     if gauge is None:
         gauge = find_gauge(mechanism, problem, unknowns)
@@ -260,7 +260,7 @@ def _all_legs(
     return Fits(calibration, [fit], gauge, held)
 
 
-def _beginning(
+def _search_start(
     problem: Problem, begin: Fits | None, rows: Mask | None
 ) -> tuple[State | Linear | None, Gauge | None, State | None]:
     """Return where a search starts, its gauge, and its start without ``begin``; None if unknown.
@@ -274,7 +274,7 @@ def _beginning(
         return replace(fit.last, problem=problem), begin.gauge, fit.problem.first
     start = fit.last.state.rows(np.flatnonzero(rows))
     if problem.leg_block.n_parameters != fit.problem.leg_block.n_parameters:
-        nominal, values = _values(problem.legs), _values(fit.problem.legs, start.parameters)
+        nominal, values = (_by_id(problem.legs), _by_id(fit.problem.legs, start.parameters))
         parameters = np.array([values.get(id_, value) for id_, value in nominal.items()])
         return State(parameters, start.matrices, external=start.external), None, None
     columns = (part.observation.measured.T for part in (fit.problem, problem))
@@ -285,7 +285,7 @@ def _beginning(
     return start, begin.gauge, None if holds else start
 
 
-def _values(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, float]:
+def _by_id(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, float]:
     """Return values of the legs' parameters, shape (n_params,), by ids; nominal values if None."""
     nominal = np.concatenate([leg.nominal for leg in legs])
     ids = [id_ for leg in legs for id_ in leg.parameter_ids]
@@ -335,7 +335,7 @@ def _fit_holding(
         holding = replace(system, unknowns=held.unknowns)
         try:
             if may_hold_more:
-                fit = _unless_astray(mechanism, holding, loss, begin, nominal, near=near)
+                fit = _fit_unless_astray(mechanism, holding, loss, begin, nominal, near=near)
             else:
                 fit = robust_fit(holding, loss, begin, near=near)
             if fit.converged or not may_hold_more:
@@ -346,7 +346,7 @@ def _fit_holding(
         fewest = held.observable.n_free - held.unknowns.n_free + 1
 
 
-def _unless_astray(
+def _fit_unless_astray(
     mechanism: Mechanism,
     system: System,
     loss: Loss | None,
@@ -364,7 +364,7 @@ def _unless_astray(
     return robust_fit(system, loss, fit.last, near=near)
 
 
-def _measured(calibration: Calibration) -> Fits:
+def _legs_alone(calibration: Calibration) -> Fits:
     """Return the fits of each leg alone, at poses as measured, from nominal values."""
     mechanism, options = calibration.mechanism, calibration.options
     calibration.check_counts()
@@ -386,7 +386,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
     """Return a calibration with tolerances estimated from its measurements, if it asks for that."""
     if calibration.options.tolerance != AUTO:
         return calibration
-    units = _tolerated(calibration)
+    units = _ids_with_tolerance(calibration)
     sought = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two are too few
     groups = {id_: place for place, unit in enumerate(sought) for id_ in units[unit]}
     size = calibration.mechanism.size
@@ -415,7 +415,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
     return replace(calibration.with_options(tolerance=known), tolerances=tuple(tolerances))
 
 
-def _tolerated(calibration: Calibration) -> dict[str, list[str]]:
+def _ids_with_tolerance(calibration: Calibration) -> dict[str, list[str]]:
     """Return the ids of parameters whose tolerance is to be estimated, by unit."""
     ids_by_unit: dict[str, list[str]] = {}
     free = calibration.unknowns

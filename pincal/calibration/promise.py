@@ -268,7 +268,7 @@ def by_target(observation: Observation, errors: Array, metres: Array | float = n
     """
     setup, sizes_by_target = observation.setup, dict[tuple[str, str], Array]()
     cameras = {device.name for device in setup.instruments if setup.pixels & {*device.columns}}
-    for (target, unit), columns in _columns(observation).items():
+    for (target, unit), columns in _columns_by_target(observation).items():
         seen = target in cameras
         part = (errors * metres if seen and unit == "m" else errors)[:, columns]
         known, points = np.isfinite(part), 1.0
@@ -280,7 +280,7 @@ def by_target(observation: Observation, errors: Array, metres: Array | float = n
     return sizes_by_target
 
 
-def _columns(observation: Observation) -> dict[tuple[str, str], list[int]]:
+def _columns_by_target(observation: Observation) -> dict[tuple[str, str], list[int]]:
     """Return the columns of measured quantities by target and unit (cameras: px and m)."""
     platform, names, setup = observation.platform, list(observation.names), observation.setup
     named = {(target, "m"): axes for target, axes in setup.positions(platform).items()}

@@ -278,7 +278,7 @@ class Session:
         workspace, wanted = self.candidates.workspace, self.options.accuracy or 0.0
         try:
             self._fits = fitted(calibration)
-            self.doubtful, self.result = _doubtful(self._fits), assemble(self._fits)
+            self.doubtful, self.result = _doubtful_row(self._fits), assemble(self._fits)
             expected, self.error = errors_inside(self.result, workspace)
             self.share = len(self.error.std) / max(expected.poses, 1)
             if not self.error.limit[0] <= wanted:
@@ -300,7 +300,7 @@ class Session:
         if self._fits is None and len(calibration.observation.external):
             return Checked(row, None)
         r, S, linear = self._predicted(calibration, [AS_MEASURED])
-        square, sigma, chance, worst, left = (v[0] for v in _judged(r, S, linear, slice(1)))
+        square, sigma, chance, worst, left = (v[0] for v in _row_verdicts(r, S, linear, slice(1)))
         if chance >= FALSE_ALARM:
             return Checked(row, float(sigma))
         tried = list(faults_of_a_row(Case(calibration, np.array([row]))))
@@ -364,7 +364,7 @@ def _squares(r: Array, S: Array) -> Array:
     return squares
 
 
-def _judged(r: Array, S: Array, linear: Linear, rows: Index | slice) -> tuple[Array, ...]:
+def _row_verdicts(r: Array, S: Array, linear: Linear, rows: Index | slice) -> tuple[Array, ...]:
     """Return χ² of rows, σ, p-value, the worst quantity, and χ² without it, shape (N,) each.
 
     The residuals r, (N, k), have covariances S. A slip of one standard deviation moves residuals by
@@ -386,7 +386,7 @@ def _judged(r: Array, S: Array, linear: Linear, rows: Index | slice) -> tuple[Ar
     return squares, sigmas, chances, worst, np.maximum(squares - most, 0.0)
 
 
-def _doubtful(fits: Fits) -> tuple[int, float] | None:
+def _doubtful_row(fits: Fits) -> tuple[int, float] | None:
     """Return the row farthest from its prediction by all others, and by how many σ; or None.
 
     A fit without a row leaves it the residual (1 − Q Qᵀ)⁻¹ r, with orthonormal columns Q, and the
@@ -396,7 +396,7 @@ def _doubtful(fits: Fits) -> tuple[int, float] | None:
     rows, r = np.flatnonzero(fit.good), fit.last.residuals[fit.good]
     unpredicted = (1.0 + _CONFIRMED) * np.eye(r.shape[1]) - fit.Q @ fit.Q.mT
     S = np.asarray(np.linalg.inv(unpredicted), dtype=float)
-    _, sigmas, chances, *_ = _judged((S @ r[:, :, None])[:, :, 0], S, fit.last, rows)
+    _, sigmas, chances, *_ = _row_verdicts((S @ r[:, :, None])[:, :, 0], S, fit.last, rows)
     worst = int(chances.argmin())
     if chances[worst] * len(rows) >= FALSE_ALARM:
         return None

@@ -112,17 +112,17 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         fold_calibration = calibration.rows(fitted_rows).at_this_noise()
         fits = converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, fitted_rows)
         predicted = predictions(fits, held)
-        sums = _sums(predicted, len(held.measurements))
+        sums = _row_sums(predicted, len(held.measurements))
         if total is None:
-            chances.append(_chance_of_rows(fits, predicted, variances, np.ones(len(sums), bool)))
+            chances.append(_p_of_rows(fits, predicted, variances, np.ones(len(sums), bool)))
         else:
             inside = max(total - fits.chi2, 0.0)
-            chances.append(_chance(fits, inside, float(sums[:, 3].sum())))
+            chances.append(_p_value(fits, inside, float(sums[:, 3].sum())))
         sigma[groups == fold] = [as_one(row[0] / unit, int(row[3])) for row in sums]
         for target, values in misses_of(held, fits.parameters, fits.external).items():
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
         of_folds += sums.sum(axis=0)
-        drawn.append(_drawn(fits, held, predicted[0][2], unit, fold))
+        drawn.append(_drawn_errors(fits, held, predicted[0][2], unit, fold))
     _, squares, unknown, equations = of_folds
     fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
     error = float(np.sqrt(squares / equations / unit))
@@ -130,7 +130,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     p_value = least_of_folds(chances)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and open_ends[0]
-    strays = _strays(fits, predicted, sums, unit, rows, variances) if may_be_wrong else []
+    strays = _stray_rows(fits, predicted, sums, unit, rows, variances) if may_be_wrong else []
     kind = KINDS[count > 1]
     worse = finding("held-out-worse", kind=kind, held_out=error, expected=expected, p_value=p_value)
     places = np.array(clusters(calibration.measurements))
@@ -214,7 +214,7 @@ def predictions(fits_of_all: Fits, held: Calibration) -> Predicted:
     return parts
 
 
-def _sums(predicted: Predicted, count: int) -> Array:
+def _row_sums(predicted: Predicted, count: int) -> Array:
     """Return sums over all fits at each held-out row, shape (count, 4).
 
     They are rᵀ (1 + J C Jᵀ)⁻¹ r; rᵀ r; tr(J C Jᵀ), the growth of rᵀ r by the parameters'
@@ -231,7 +231,7 @@ def _sums(predicted: Predicted, count: int) -> Array:
     return sums
 
 
-def _drawn(fits: Fits, held: Calibration, linear: Linear, unit: float, seed: int) -> Misses:
+def _drawn_errors(fits: Fits, held: Calibration, linear: Linear, unit: float, seed: int) -> Misses:
     """Return draws of errors of targets at held-out rows, (N, draws); see ``misses_of``.
 
     Readings place the platform there. The readings' noise, scaled by ``unit``, and the errors of
@@ -271,18 +271,13 @@ def _limit(drawn: Sequence[Misses], target: tuple[str, str], variances: Array | 
     return float(np.sqrt(np.quantile(squares.mean(axis=0), CONFIDENCE))) if len(squares) else np.inf
 
 
-def _strays(
-    fits: Fits,
-    predicted: Predicted,
-    sums: Array,
-    unit: float,
-    rows: Index,
-    variances: Array | None,
+def _stray_rows(
+    fits: Fits, predicted: Predicted, sums: Array, unit: float, rows: Index, variances: Array | None
 ) -> list[Outlier]:
     """Return the few held-out rows that alone contradict, the worst first, if others do not."""
     wrong, strays = suspected(sums[:, 0] / unit, sums[:, 3].astype(np.intp)), []
     few = 0 < wrong.sum() <= max(1.0, MANY_ROWS * len(wrong))
-    if not few or _chance_of_rows(fits, predicted, variances, ~wrong) < UNLIKELY:
+    if not few or _p_of_rows(fits, predicted, variances, ~wrong) < UNLIKELY:
         return []
     for place in np.flatnonzero(wrong).tolist():
         sizes: list[tuple[float, str]] = []
@@ -302,7 +297,7 @@ def _strays(
     return sorted(strays, key=lambda stray: -stray.sigma)
 
 
-def _chance(fits: Fits, inside: float, equations: float) -> float:
+def _p_value(fits: Fits, inside: float, equations: float) -> float:
     """Return the p-value of the residuals of held-out rows if the model is right.
 
     χ² of all rows exceeds that of the fitted rows by an independent χ²; it is an F test where the
@@ -320,8 +315,8 @@ def _chance(fits: Fits, inside: float, equations: float) -> float:
     return exceeded(ratio / own_ratio, share * equations, share * dof)
 
 
-def _chance_of_rows(fits: Fits, predicted: Predicted, variances: Array | None, rows: Mask) -> float:
-    """Return the p-value of some held-out rows to first order, in contrast to ``_chance``.
+def _p_of_rows(fits: Fits, predicted: Predicted, variances: Array | None, rows: Mask) -> float:
+    """Return the p-value of some held-out rows to first order, in contrast to ``_p_value``.
 
     Where variances of groups were estimated without these rows, it is averaged over their draws;
     the sum of squares is like a χ² of the same mean and variance (Satterthwaite 1946).
@@ -334,7 +329,7 @@ def _chance_of_rows(fits: Fits, predicted: Predicted, variances: Array | None, r
         inside, traces = inside + more[0], traces + more[1]
         equations += float(held.equations[chosen].sum())
     if variances is None or not equations:
-        return _chance(fits, inside, equations)
+        return _p_value(fits, inside, equations)
     means = equations + (variances - 1.0) @ traces
     freedoms = means**2 / (equations + (variances**2 - 1.0) @ traces)
     return float(chdtrc(freedoms, freedoms * inside / means).mean())
@@ -373,11 +368,11 @@ def missed(target: str, unit: str, fitted: Array, held: Array, places: Array) ->
         mean=float(values.mean()),
         rms=float(np.sqrt((values**2).mean())),
         largest=float(values.max()),
-        rms_ends=_ends(values, pose),
+        rms_ends=_rms_interval(values, pose),
     )
 
 
-def _ends(values: Array, pose: Index) -> tuple[float, float]:
+def _rms_interval(values: Array, pose: Index) -> tuple[float, float]:
     """Return the interval of the root mean square of values (N,) by a bootstrap of poses (N,)."""
     sums = np.stack([np.bincount(pose, values**2), np.bincount(pose)])
     poses = sums.shape[1]

@@ -144,7 +144,7 @@ def assumed_information(
         exact: Whether readings may be exact.
         tie: The noise to which that of readings is tied, see ``tie_of``.
     """
-    sizes, ratio = _relative(noise, unit)
+    sizes, ratio = _group_sizes(noise, unit)
     largest = ratio[: 3 if noise.reading > 0.0 else 2].max() * max(scale, 1e-300)
     rows = np.zeros((len(sizes) - 1, len(sizes)))
     rows[0, :2], rows[1, _R], rows[1, 0] = (1.0, -1.0), 1.0, 0.0 if exact else -1.0
@@ -158,7 +158,7 @@ def assumed_information(
     return np.asarray(rows.T @ rows)
 
 
-def _relative(noise: Noise, unit: Noise) -> tuple[Array, Array]:
+def _group_sizes(noise: Noise, unit: Noise) -> tuple[Array, Array]:
     """Return standard deviations of groups, and variances over the squares of their units, (g,).
 
     The groups are positions, orientations, readings and, where cameras see, pixels.
@@ -183,7 +183,7 @@ def estimated_noise(
         tie: See ``tie_of``.
     """
     assumed = assumed_information(noise, unit, moments.scale, exact=exact, tie=tie)
-    _, ratio = _relative(noise, unit)
+    _, ratio = _group_sizes(noise, unit)
     least = np.full(len(ratio), moments.scale / _LARGEST_STEP)
     least[_R] *= noise.reading > 0.0  # else its size is not known yet
     variance = moments.off_zero(exact=exact).variances(assumed)
@@ -201,7 +201,7 @@ def with_exact_readings(fits: Sequence[Fit], noise: Noise, unit: Noise) -> list[
 
     ``unit`` is the assumed noise, the units of the groups.
     """
-    _, ratio = _relative(noise, unit)
+    _, ratio = _group_sizes(noise, unit)
     if not noise.reading > 0.0 or ratio[_R] > (1.0 + _TIED) * _SMALLEST**2 * ratio.max():
         return [replace(fit, exact=0) for fit in fits]
     shown = (float(_moments(fit, noise.reading)[0][_R].sum()) for fit in fits)
@@ -244,7 +244,7 @@ def tie_of(fit: Fit, noise: Noise, plausible: float = 0.0) -> Tie | None:
 def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array, Array]]:
     """Return F, q and an element of ``parts`` of ``Moments`` for one fit."""
     rows, Q = fit.good, fit.Q
-    V = _of_groups(fit.last, reading)[:, rows]
+    V = _group_covariances(fit.last, reading)[:, rows]
     residuals = fit.last.residuals[rows] - Q @ fit.normal.c
     VQ = V @ Q
     P = np.stack([over_rows(Q, part) for part in VQ])
@@ -254,7 +254,7 @@ def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array
     return F, q, (VQ, P, fit.normal.orthonormal(fit.unknowns.map).T)
 
 
-def _of_groups(linear: Linear, reading: float) -> Array:
+def _group_covariances(linear: Linear, reading: float) -> Array:
     """Return the covariances V_g of white rows by the noise of each group, (g, N, m, m)."""
     problem, n_legs = linear.problem, linear.problem.leg_block.n_rows
     n_readings = problem.leg_block.n_readings
@@ -281,7 +281,7 @@ def predicted_squares(
     the singular values of A, so that large ones do not cancel.
     """
     _, P, W = part
-    r, D = held.residuals[rows], _of_groups(held, reading)[:, rows]
+    r, D = held.residuals[rows], _group_covariances(held, reading)[:, rows]
     U, sizes, Vt = np.linalg.svd((held.jacobian[rows] @ W.T).reshape(r.size, -1), False)
     along, unknown = r.ravel() @ U, sizes**2 / (1.0 + sizes**2)
     beside = r.ravel() - U @ along

@@ -232,7 +232,7 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
     problem, unknowns = system.problem, system.unknowns
     first, evaluations = solve_poses(begin)
     check_rank(problem, unknowns, first)
-    start, easier = (first, 0) if near else _near_start(system, begin, first)
+    start, easier = (first, 0) if near else _easier_start(system, begin, first)
     solution = optimum(system, start, system.cost(first), evaluations + easier, near=near)
     if system.known:  # at the start of a search a pose may be too near to a singularity
         check_information(problem, unknowns, (first, solution.last))
@@ -256,7 +256,7 @@ _EASY_NEAR = 0.1  # distance from the easier problem's optimum, in σ, at which 
 _EASY_EVALUATIONS = 50
 
 
-def _near_start(system: System, begin: Linear, first: Linear) -> tuple[Linear, int]:
+def _easier_start(system: System, begin: Linear, first: Linear) -> tuple[Linear, int]:
     """Return where the search begins, and the evaluations that this took.
 
     It is near the optimum of an easier problem if that is better than the start: the evened problem

@@ -222,9 +222,9 @@ def _noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, 
     for rows in several:
         first = np.tile(data.poses[rows[0]], (len(rows), 1))
         twists.append(platform.twists_between(first, data.poses[rows]))
-    position = _variance([twist[:, ~turns] for twist in twists])
-    orientation = _variance([twist[:, turns] for twist in twists])
-    reading = _variance([data.readings[rows] for rows in several])
+    position = _variance_within([twist[:, ~turns] for twist in twists])
+    orientation = _variance_within([twist[:, turns] for twist in twists])
+    reading = _variance_within([data.readings[rows] for rows in several])
     if not position > 0.0 or (turns.any() and not orientation > 0.0):
         return None
     noise = Noise(*(float(np.sqrt(value)) for value in (position, orientation, reading)))
@@ -244,7 +244,7 @@ def _repeated_rows(data: Measurements) -> list[Index]:
     return [np.array(rows) for rows in groups.values() if len(rows) > 1]
 
 
-def _variance(groups: list[Array]) -> float:
+def _variance_within(groups: list[Array]) -> float:
     """Return the variance within groups of rows, (n, k) each; 0 if most rows are equal."""
     within = np.concatenate([rows - rows.mean(axis=0) for rows in groups])
     rounding = ROUNDING * max(float(np.abs(rows).max(initial=0.0)) for rows in groups)

@@ -101,7 +101,7 @@ class Observation:
 
     def only(self, names: Sequence[str]) -> Observation:
         """Return the observation with only the named quantities measured."""
-        return self._with(measured=self.measured & np.isin(self.names, list(names)))
+        return self._changed(measured=self.measured & np.isin(self.names, list(names)))
 
     def anywhere(self) -> Observation:
         """Return the observation with every quantity measured in all rows if it is in some.
@@ -114,7 +114,7 @@ class Observation:
         somewhere[np.isin(self.names, self.setup.between)] = False
         for columns in self.setup.contact_axes(self.platform).values():
             somewhere[np.isin(self.names, columns)] = False
-        return self._with(
+        return self._changed(
             measured=self.measured | somewhere,
             orientations=np.where(oriented, self.orientations, np.eye(3)),
         )
@@ -124,14 +124,14 @@ class Observation:
 
         ``matrices`` are ``T_base_platform``, shape (N, 4, 4).
         """
-        hidden = self._asked("visible", matrices, external) == 0.0
-        return self._with(measured=self.measured & ~hidden)
+        hidden = self._of_devices("visible", matrices, external) == 0.0
+        return self._changed(measured=self.measured & ~hidden)
 
     def metres_per_pixel(self, matrices: Array, external: External) -> Array:
         """Return the size of a pixel at each seen point, (N, r), [m/px]; NaN of other columns."""
-        return self._asked("metres_per_pixel", matrices, external)
+        return self._of_devices("metres_per_pixel", matrices, external)
 
-    def _asked(self, method: str, matrices: Array, external: External) -> Array:
+    def _of_devices(self, method: str, matrices: Array, external: External) -> Array:
         values, poses = np.full(self.measured.shape, np.nan), external.frame @ matrices
         for instrument, columns, places in self._devices():
             if ask := getattr(instrument, method, None):
@@ -151,13 +151,13 @@ class Observation:
         """Return the observation at some rows."""
         arrays = ("measured", "orientations", "_values", "conditions")
         parts = {name: getattr(self, name)[rows] for name in (*arrays, "meets")}
-        return self._with(noise=self.noise.rows(rows), **parts)
+        return self._changed(noise=self.noise.rows(rows), **parts)
 
     def with_noise(self, noise: RowNoise) -> Observation:
         """Return the observation with other noise of its quantities."""
-        return self._with(noise=noise)
+        return self._changed(noise=noise)
 
-    def _with(self, **changes: object) -> Observation:
+    def _changed(self, **changes: object) -> Observation:
         changed = copy(self)
         vars(changed).update(changes)
         return changed
@@ -223,8 +223,9 @@ class Observation:
         """
         columns = self.external.free if columns is None else columns
         poses, frame = external.frame @ matrices, external.frame[:3, :3]
-        rows = [*self._points(poses, external), self._turned(poses[:, :3, :3], external)]
-        rows += self._instruments(poses, external)
+        rows = self._position_rows(poses, external)
+        rows += [self._orientation_rows(poses[:, :3, :3], external)]
+        rows += self._instrument_rows(poses, external)
         value, by_twist, by_external = (
             np.concatenate(part, axis=1) for part in zip(*rows, strict=True)
         )
@@ -250,7 +251,7 @@ class Observation:
             points[target] = (poses[:, :3, 3] + arm, point_velocity(arm, _TWIST), by_external)
         return points
 
-    def _points(self, poses: Array, external: External) -> list[Predicted]:
+    def _position_rows(self, poses: Array, external: External) -> list[Predicted]:
         """Return rows of coordinates of targets, and of the features that they touch."""
         points, rows = self.targets(poses, external), []
         for target, (u, D, E) in points.items():  # of the origin only the axes it moves along
@@ -261,7 +262,7 @@ class Observation:
             rows.append(met(relation, places, points[relation.target], external, self.external))
         return rows
 
-    def _turned(self, R: Array, external: External) -> Predicted:
+    def _orientation_rows(self, R: Array, external: External) -> Predicted:
         """Return rows of orientations, predicted minus measured, as rotation vectors."""
         error, oriented = np.zeros((len(R), 3)), _oriented(self.orientations)
         if self._turn_rows:
@@ -273,7 +274,7 @@ class Observation:
         value = error[:, self._turn_rows]
         return value, np.pad(by_turn, ((0, 0), (0, 0), (3, 0))), by_external
 
-    def _instruments(self, poses: Array, external: External) -> list[Predicted]:
+    def _instrument_rows(self, poses: Array, external: External) -> list[Predicted]:
         rows, first = [], len(self.names) - self.conditions.shape[1]
         for instrument, columns, places in self._devices():
             read = self.conditions[:, columns.start - first : columns.stop - first]

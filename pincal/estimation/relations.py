@@ -108,7 +108,7 @@ def at_touch(observation: Observation, matrices: Array, external: External) -> E
         contact = contacts[name][2]
         if contact.shape in ("circle", "sphere") and unknown[place, 0] and rows.any():
             w = points[contact.target][0][rows] @ contact.axes
-            features[place] = _round(w, 2 if contact.shape == "circle" else 3, features[place])
+            features[place] = _circle(w, 2 if contact.shape == "circle" else 3, features[place])
     for _ in range(_STEPS):
         external = replace(external, features=features)
         value, _, by_features = observation.residuals(matrices, external, every)
@@ -124,7 +124,7 @@ def at_touch(observation: Observation, matrices: Array, external: External) -> E
     return replace(external, features=features)
 
 
-def _round(w: Array, dimensions: int, feature: Array) -> Array:
+def _circle(w: Array, dimensions: int, feature: Array) -> Array:
     """Return a circle or sphere through points (N, 3) in the feature's axes (I. Kåsa 1976)."""
     flat = w[:, :dimensions]
     A = np.column_stack((2.0 * flat, np.ones(len(flat))))

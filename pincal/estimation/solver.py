@@ -128,7 +128,7 @@ def search(
         evaluations += count
         if trial is not None:
             # 2. Accepted: less damping where the cost falls as predicted.
-            factor, at_end = _judged(system, current, trial, step)
+            factor, at_end = _adapt_damping(system, current, trial, step)
             damping, growth = damping * factor, _GROWTH
             damping *= damping > _DAMPING[0]  # none below the least
             current = trial
@@ -174,17 +174,17 @@ def optimum(
     """
     adjusts = system.problem.latent and np.nanmax(system.problem.leg_block.sigma, initial=0.0) > 0.0
     with_adjustment = replace(system, adjusted=True)
-    end = _if_any(with_adjustment, start) if near and adjusts else None
+    end = _try_search(with_adjustment, start) if near and adjusts else None
     if end is None or not end.converged:
         highest *= 1.0 + ROWS_FOLLOW * near
         first = end = search(system, start, highest=highest, enough=SLOW * float(adjusts))
         if adjusts and first.converged:
-            end = _if_any(replace(with_adjustment, max_evaluations=None), first.last) or first
+            end = _try_search(replace(with_adjustment, max_evaluations=None), first.last) or first
             evaluations += first.evaluations - 1 if end is not first else 0
     return replace(end, evaluations=end.evaluations + evaluations)
 
 
-def _if_any(system: System, start: Linear) -> SolverResult | None:
+def _try_search(system: System, start: Linear) -> SolverResult | None:
     """Return where a search ends; None if it reaches conditions that do not exist."""
     try:
         with np.errstate(all="ignore"):
@@ -223,7 +223,7 @@ def _tolerance(system: System, current: Iterate, enough: float) -> float:
     return max(NO_STEP, rounding(system, current.linear), enough * float(deviation))
 
 
-def _better(system: System, current: Iterate, trial: Iterate, highest: float) -> bool:
+def _accepted(system: System, current: Iterate, trial: Iterate, highest: float) -> bool:
     """Return whether a step lowers the cost or, where rounding hides that, the distance.
 
     The cost takes the weights at the start of the step, which bound a robust cost from above
@@ -241,7 +241,9 @@ def _better(system: System, current: Iterate, trial: Iterate, highest: float) ->
     return system.loss is not None or trial.cost <= highest
 
 
-def _judged(system: System, current: Iterate, trial: Iterate, step: Array) -> tuple[float, bool]:
+def _adapt_damping(
+    system: System, current: Iterate, trial: Iterate, step: Array
+) -> tuple[float, bool]:
     """Return the factor on the damping by the actual over the predicted decrease of the cost.
 
     Also return whether rounding leaves nothing to gain.
@@ -263,8 +265,8 @@ def _step(
     """
     normal, linear, T = current.normal, current.judged, system.unknowns.map
     step = normal.step(damping)
-    trial, evaluations = _reached(system, current, step, fixed_poses)
-    if trial is None or _better(system, current, trial, highest):
+    trial, evaluations = _end_of_step(system, current, step, fixed_poses)
+    if trial is None or _accepted(system, current, trial, highest):
         return trial, step, evaluations
     if current.blind:
         return None, step, evaluations
@@ -276,12 +278,12 @@ def _step(
     length, bend_length = (float(np.linalg.norm(part * normal.lengths)) for part in (step, bend))
     if not bend_length < _BENT * length:
         return None, step, evaluations
-    trial, count = _reached(system, current, step + bend, fixed_poses)
-    taken = trial is not None and _better(system, current, trial, highest)
+    trial, count = _end_of_step(system, current, step + bend, fixed_poses)
+    taken = trial is not None and _accepted(system, current, trial, highest)
     return trial if taken else None, step, evaluations + count
 
 
-def _reached(
+def _end_of_step(
     system: System, current: Iterate, step: Array, fixed_poses: Mask
 ) -> tuple[Iterate | None, int]:
     """Return the end of a step of the free unknowns, poses solved, and its evaluations.

@@ -71,7 +71,7 @@ def align_start(
             driven = replace(block, readings=readings + share * (block.readings - readings))
             way = replace(problem, leg_block=driven, observation=observation.only(()))
             state = poses_at_rest(way.evaluate(state)).state
-    good, agrees = _well(mechanism, problem, state), np.ones(len(data), dtype=bool)
+    good, agrees = _closes_as_home(mechanism, problem, state), np.ones(len(data), dtype=bool)
     if len(outside):
         values, agrees = aligned(problem, data, state, good)
         state = replace(state, external=values)
@@ -111,7 +111,7 @@ def _outside_started(problem: Problem, state: State) -> State:
     if not theirs.any():
         return state
 
-    arms, usual = _arms(problem, dependent_rows.units, by_pose), _CLOSES * problem.size
+    arms, usual = _length_factors(problem, dependent_rows.units, by_pose), _CLOSES * problem.size
     roughly = np.flatnonzero(theirs & np.isfinite(outside.priors))
     by_prior = usual / outside.priors[roughly, None] * by_free[roughly]
     nominal = outside.coordinates(outside.start)[roughly]
@@ -134,7 +134,7 @@ def _outside_started(problem: Problem, state: State) -> State:
     return replace(state, external=outside.moved(external, by_free @ values))
 
 
-def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
+def _closes_as_home(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     """Return which poses close all legs in the working and assembly modes of home, shape (N,)."""
     block, redundant = problem.leg_block, mechanism.redundant
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
@@ -184,7 +184,7 @@ def poses_at_rest(linear: Linear) -> Linear:
     """
     problem, platform, size = linear.problem, linear.problem.platform, linear.problem.size
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
-    arms = _arms(problem, problem.units, linear.by_pose)
+    arms = _length_factors(problem, problem.units, linear.by_pose)
     damping, open_ = np.full(len(linear.conditions), 1e-6), np.ones(len(linear.conditions), bool)
     for _ in range(_STEPS):
         B, value = linear.by_pose * arms[:, None] * scale, linear.conditions * arms
@@ -207,7 +207,7 @@ def poses_at_rest(linear: Linear) -> Linear:
     return linear
 
 
-def _arms(problem: Problem, units: Sequence[str], by_pose: Array) -> Array:
+def _length_factors(problem: Problem, units: Sequence[str], by_pose: Array) -> Array:
     """Return factors, shape (k,), that turn residuals into lengths (pixels: by a pose's effect)."""
     arms = np.array([problem.size if unit == "rad" else 1.0 for unit in units])
     pixels = np.array([unit == "px" for unit in units], dtype=bool)
@@ -274,10 +274,10 @@ def aligned(
         far = np.linalg.norm(measured - np.median(measured[known], axis=0), axis=2)
         extent = max(float(np.median(far[known])), 1e-300)
         weights = np.where(known, extent / np.maximum(far, extent), 0.0)  # far points weigh less
-        missed = _in_turn(problem, state, measured, weights, absolute=True)[-1]
+        missed = _frame_and_offsets(problem, state, measured, weights, absolute=True)[-1]
         usual = float(np.median(missed[known]))
         agreeing = known & (missed <= max(_GROSS * usual, _MISFIT * extent))
-    frame, offsets, _ = _in_turn(problem, state, measured, agreeing.astype(float))
+    frame, offsets, _ = _frame_and_offsets(problem, state, measured, agreeing.astype(float))
     turn, turns = state.external.turn, observation.orientations
     turned = reached & np.isfinite(turns).all(axis=(1, 2))
     if observation.external.turned and turned.any():
@@ -290,7 +290,7 @@ def aligned(
     return replace(state.external, frame=frame, offsets=offsets, turn=turn), agrees
 
 
-def _in_turn(
+def _frame_and_offsets(
     problem: Problem, state: State, measured: Array, weights: Array, *, absolute: bool = False
 ) -> tuple[Array, Array, Array]:
     """Return frame (4, 4), offsets (n_targets, 3) and misfits (n_targets, N), [m].

@@ -141,7 +141,7 @@ def _course_tests(
     then growth of all lengths and motion of all positions with time.
     """
     n_readings, time = fit.problem.leg_block.n_readings, np.linspace(-1.0, 1.0, len(used))[:, None]
-    courses = {"order": [time] * len(errors), **_of_readings(fit, used)}
+    courses = {"order": [time] * len(errors), **_reading_courses(fit, used)}
     for term, of_quantities in courses.items():
         named = zip(errors.items(), of_quantities, strict=False)
         rows = {name: error * course[:, None] for (name, error), course in named}
@@ -157,7 +157,7 @@ def _course_tests(
         of_leg = [leg.units[n] == "m" and n not in leg.amplitudes for n in leg.parameter_names]
         grown[columns, 0] = np.where(of_leg, fit.parameters[columns], 0.0)
     yield LENGTHS, "order", (fit.last.jacobian[used] @ grown) * time[:, None]
-    moved, axes = _of_frame(fit, errors)
+    moved, axes = _frame_errors(fit, errors)
     if len(axes) > 1:
         yield FRAME, "order", moved * time[:, None]
 
@@ -172,7 +172,7 @@ def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
     return dict(zip(fit.problem.quantities, white, strict=False))
 
 
-def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
+def _reading_courses(fit: Fit, used: Index) -> dict[str, list[Array]]:
     """Return functions of value, pose and approach that an error of each reading may follow.
 
     Shapes are (n_used, f). The pose is taken to second order, without coordinates that hardly vary,
@@ -201,7 +201,7 @@ def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
     }
 
 
-def _of_target(fit: Fit, errors: Mapping[str, Array], target: str) -> Array:
+def _target_errors(fit: Fit, errors: Mapping[str, Array], target: str) -> Array:
     """Return the white rows of unit errors of a target along x, y, z, (n_used, m, n_axes)."""
     stem = "" if target == ORIGIN else f"{target}_"
     none = np.zeros_like(next(iter(errors.values())))
@@ -209,10 +209,10 @@ def _of_target(fit: Fit, errors: Mapping[str, Array], target: str) -> Array:
     return np.concatenate([errors.get(name, none) for name in names], axis=2)
 
 
-def _of_frame(fit: Fit, errors: Mapping[str, Array]) -> tuple[Array, tuple[str, ...]]:
+def _frame_errors(fit: Fit, errors: Mapping[str, Array]) -> tuple[Array, tuple[str, ...]]:
     """Return white rows of unit errors of all positions, (n_used, m, n_axes), and the axes."""
     targets = fit.problem.observation.setup.targets
-    moved = np.sum([_of_target(fit, errors, target) for target in targets], axis=0)
+    moved = np.sum([_target_errors(fit, errors, target) for target in targets], axis=0)
     known = moved.any(axis=(0, 1))
     return moved[:, :, known], tuple(np.array(list("xyz"[: len(known)]))[known].tolist())
 
@@ -223,9 +223,9 @@ def slips(fit: Fit) -> list[Slip]:
         return []
     residuals, clearest = Residuals.of(fit), list[Slip]()
     errors = errors_of(fit, residuals.used)
-    candidates, (_, of_kind) = list(_candidates(fit, errors, residuals.used)), _kinds(fit, errors)
+    candidates, (_, of_kind) = (list(_candidates(fit, errors, residuals.used)), _kinds(fit, errors))
     while len(clearest) < _MAX_SLIPS:
-        tried = [trial for slip, W in candidates for trial in _tried(residuals, slip, W)]
+        tried = [trial for slip, W in candidates for trial in _slip_or_drift(residuals, slip, W)]
         tried.sort(key=lambda trial: (trial[0].p_value, -trial[1]))
         if not tried or tried[0][0].p_value * len(tried) >= FALSE_ALARM:
             break
@@ -246,7 +246,9 @@ def slips(fit: Fit) -> list[Slip]:
     return clearest
 
 
-def _tried(residuals: Residuals, slip: Slip, W: Array) -> Iterator[tuple[Slip, float, Array]]:
+def _slip_or_drift(
+    residuals: Residuals, slip: Slip, W: Array
+) -> Iterator[tuple[Slip, float, Array]]:
     """Yield a slip at its most significant row, and a drift of the same quantities.
 
     Each comes with the χ² that it explains and the white rows of its error.
@@ -273,10 +275,10 @@ def _candidates(fit: Fit, errors: Mapping[str, Array], used: Index) -> Iterator[
     state, axes = fit.last.state, tuple("xyz"[: platform.space])
     turns = state.external.frame[:3, :3] @ state.matrices[used, :3, :3]
     for target in problem.observation.setup.targets:
-        white = _of_target(fit, errors, target)
+        white = _target_errors(fit, errors, target)
         if white.any():
             yield Slip("target", target, axes, "m"), white @ turns[:, : len(axes), : len(axes)]
-    moved, known = _of_frame(fit, errors)
+    moved, known = _frame_errors(fit, errors)
     if known:
         yield Slip("frame", "", known, "m"), moved
     angles = platform.freedoms[platform.lengths :]
