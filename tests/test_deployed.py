@@ -209,9 +209,7 @@ def test_an_arm_says_which_poses_are_found_without_near(
     robot = loaded("ur5")
     pincal.deploy(robot, tmp_path / "controller")
     page = (tmp_path / "controller/commanding.md").read_text()
-    (numbers,) = re.findall(
-        r"(\d+) of (\d+) poses\s+of the workspace are found, (\d+) within", page
-    )
+    (numbers,) = re.findall(r"(\d+) of (\d+) poses\s+of the workspace, (\d+) within", page)
     found, tried, within = map(int, numbers)
     file = runpy.run_path(str(tmp_path / "controller/kinematics.py"))
     poses = pincal.sample_workspace(robot, tried).tolist()

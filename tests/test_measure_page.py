@@ -80,7 +80,7 @@ def test_two_windows_lose_nothing(server: PageServer, session: Session, bench: B
     first, second = (json.loads(asked(server.url, "/state", order)[1]) for _ in range(2))
     assert (first["count"], first["trouble"]) == (11, "")
     assert second["count"] == 11
-    assert "another window was quicker" in second["trouble"]
+    assert "changed in another window" in second["trouble"]
     wrong = {**order, "version": second["version"], "line": "1 2 3 4 5 6 7"}
     refused = json.loads(asked(server.url, "/state", wrong)[1])
     assert refused["count"] == 11

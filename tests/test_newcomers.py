@@ -43,7 +43,7 @@ def test_start_under_an_unknown_frame_is_where_the_search_began(
         start = result[id_].nominal
         assert start == pytest.approx(there, abs=0.05)
         assert start != result[id_].identified
-    assert "start: where the search began" in outside_table(result).caption
+    assert "start: initial values" in outside_table(result).caption
 
 
 def test_tables_say_that_plus_minus_in_an_unknown_frame_depends_on_a_choice(

@@ -399,7 +399,7 @@ def test_a_machine_without_terms_needs_none() -> None:
     values = {"term": "order", "quantity": "readings", "p_value": 2e-3}
     pattern = finding("model-lacks", **values)
     by_chance = replace(found, result=replace(found.result, findings=(pattern,)))
-    assert "1 in 100 sets of sound measurements shows one by chance" in " ".join(
+    assert "1 in 100 sets of sound measurements shows a pattern by chance" in " ".join(
         str(by_chance).split()
     )
 

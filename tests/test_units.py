@@ -106,7 +106,7 @@ def test_from_counts_to_a_commanded_pose_in_counts(
     asked = (counted, "--units", "counts", "-o", tmp_path / "i.csv")
     outcome = run("inverse", two.save(tmp_path / "two"), *asked)
     assert outcome.code == 2
-    assert "how many counts one rad or m of leg_3 has is not said" in outcome.trouble
+    assert "the encoder counts per rad or m of leg_3 are not known" in outcome.trouble
     result, poses = tmp_path / "result", tmp_path / "poses.csv"
     done("calibrate", "--no-report", encoders, counted, *GIVEN, "--folds", 0, "-o", result)
     done("inverse", result, *asked)

@@ -176,27 +176,27 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "noise-estimated": ({"position": 1e-4, "orientation": None, "reading": 0.0, "units": ["rad"], "pixel": None}, (), (), "0.1 mm in position, readings exact"),
     "chi2-too-large": ({"chi2": 4.0, "dof": 30, "source": "given"}, (), (), "reduced χ² is 4 where 1 is expected: the noise is larger than given, or the model is incomplete; the uncertainties assume that noise"),
     "chi2-too-small": ({"chi2": 0.1, "dof": 30, "source": "repeats"}, (), (), "the noise is smaller than repeated rows show; the uncertainties"),
-    "noise-in-other-proportion": ({"ratios": {"positions": 1.4, "readings": 0.4}, "p_value": 1e-5}, (), (), "the proportions of the noise given are wrong (p = 1e-05): residuals show 140 % of it in positions, 40 % of it in readings"),
+    "noise-in-other-proportion": ({"ratios": {"positions": 1.4, "readings": 0.4}, "p_value": 1e-5}, (), (), "the proportions of the given noise are wrong (p = 1e-05): residuals show 140 % of it in positions, 40 % of it in readings"),
     "reference-moved": ({"pose": "reference", "quantity": "x", "size": 1.2e-4, "unit": "m", "p_value": 1e-5}, (0, 5, 11), (), "the pose 'reference', measured 3 times, moved: x by 0.12 mm from data row 1 to 12 (p = 1e-05)"),
     "model-lacks": ({"quantity": "reading of leg_1", "term": "angle", "p_value": 1e-5}, (), (), "reading of leg_1: residuals follow the reading itself (p = 1e-05), which the model does not include; likely an eccentric encoder disc, an uneven gear or lead screw"),
     "rows-alike": ({"quantity": "measured x", "correlation": 0.62, "p_value": 1e-5}, (), (), "measured x: residuals of successive rows are correlated (0.62, p = 1e-05), and neither a step nor a steady drift explains it"),
     "step": ({"quantity": "reading of leg_2", "size": 1e-3, "unit": "rad", "p_value": 1e-5}, (29,), (), "reading of leg_2 is off by 1 mrad from data row 30 on (p = 1e-05)"),
     "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5, "lacking": False}, (4,), (), "1 of 60 rows does not fit the others: data row 5, by 7.0 σ (x off by 6.5 σ)"),
     "wrong-rows": ({"total": 72, "chi2": 217.0, "without": 1.02, "sigma": 152.0, "quantity": "measured x", "off": 150.0}, (7,), (), "data row 8 does not fit the others, by 152 σ (measured x off by 150 σ): reduced χ² is 217 with it and 1.02 without; this result includes it"),
-    "photos-shifted": ({"shift": 1, "given": 0.06, "missed": 6e-5}, (), (), "the photos are 1 row above their readings: corrected for that, the machine as drawn misses points by 0.06 mm (median), as they are by 60 mm"),
+    "photos-shifted": ({"shift": 1, "given": 0.06, "missed": 6e-5}, (), (), "the photos are 1 row above their readings: corrected for that, the machine as drawn misses the points by 0.06 mm (median) instead of 60 mm"),
     "photos-turned": ({"turn": 90, "given": 0.06, "missed": 6e-5}, (), (), "the photos are turned by 90°: corrected for that"),
     "board-mirrored": ({"board": "b", "given": 0.06, "missed": 6e-5}, (), (), "board 'b' is a mirror image of what it should be: corrected"),
-    "board-behind": ({"board": "b"}, (), (), "board 'b' is seen from behind: it, or its points in the setup, are mirrored"),
-    "boards-exchanged": ({"boards": ("a", "b"), "given": 0.06, "missed": 6e-5}, (), (), "boards 'a' and 'b' are confused: corrected"),
-    "board-scale": ({"board": "b", "scale": 1.016, "given": 0.06, "missed": 6e-5}, (), (), "by the machine as drawn board 'b' is 1.6 % larger than said (an inch for 25 mm?): corrected"),
+    "board-behind": ({"board": "b"}, (), (), "board 'b' is seen from behind: the print or its points in the setup are mirrored"),
+    "boards-exchanged": ({"boards": ("a", "b"), "given": 0.06, "missed": 6e-5}, (), (), "boards 'a' and 'b' are swapped: corrected"),
+    "board-scale": ({"board": "b", "scale": 1.016, "given": 0.06, "missed": 6e-5}, (), (), "judged by the machine as drawn, board 'b' is 1.6 % larger than the setup says (an inch for 25 mm?): corrected"),
     "points-left-out": ({"names": ("front a", "side b")}, (3, 8), (), "left out: 2 points in photos: front a of data row 4 and side b of data row 9"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit the others, worst data row 2"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: only 8 poses for 8 parameters"),
     "terms-chosen": ({}, (), ("leg_1.sin", "leg_1.cos"), "leg_1.sin, leg_1.cos were added because they fit these measurements"),
-    "tolerance-found": ({"unit": "m", "size": 4e-4, "low": 0.0, "high": 1e-3, "count": 12}, (), (), "lengths differ from the drawing by 0.4 mm, standard deviation of 12 (95 %: 0 mm to 1 mm)"),
+    "tolerance-found": ({"unit": "m", "size": 4e-4, "low": 0.0, "high": 1e-3, "count": 12}, (), (), "lengths differ from the drawing by 0.4 mm (standard deviation of 12; 95 %: 0 mm to 1 mm)"),
     "weakly-determined": ({"parameter": "leg_1.l", "half": 0.12, "unit": "m", "option": "--strict"}, (), ("leg_1.l", "leg_2.l"), "2 parameters are weakly determined, leg_1.l only to ± 0.12 m"),
     "undetermined-held": ({"groups": (("leg_1.l", "leg_1.L"), ("leg_2.k",)), "weak": ("leg_3.l", "leg_3.k")}, (), (), "these measurements do not determine all parameters: leg_1.l and leg_1.L move together; leg_2.k has no effect; leg_3.l and leg_3.k are weakly determined"),
-    "far-from-nominal": ({"parameter": "leg_1.gamma", "change": 0.123, "unit": "rad", "options": ("unknown-target",)}, (), ("leg_1.gamma",), "leg_1.gamma changed by +0.123 rad, more than a machine differs from its drawing"),
+    "far-from-nominal": ({"parameter": "leg_1.gamma", "change": 0.123, "unit": "rad", "options": ("unknown-target",)}, (), ("leg_1.gamma",), "leg_1.gamma changed by +0.123 rad, more than a machine usually differs from its drawing"),
     "zeros-found": ({"changes": (("leg_1.gamma", 0.7, "rad"),)}, (), ("leg_1.gamma",), "reading zeros are far from nominal: leg_1.gamma by 0.7 rad"),
     "held-out-worse": ({"kind": "verification", "held_out": 3.0, "expected": 1.1, "p_value": 1e-6}, (), (), "verification rows miss by 3.00 σ where 1.10 σ is expected (p = 1e-06): the model fits its own rows better than the machine"),
     "wrong-verification": ({"total": 6, "sigma": 190.2, "quantity": "measured phi", "off": 199.0}, (32,), (), "1 of 6 verification rows does not fit: data row 33, by 190 σ (measured phi off by 199 σ); the others fit"),
@@ -205,13 +205,13 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "whole-turns": ({"leg": "leg_1", "reading": 6.5, "nominal": 0.25}, (2, 4), (), "leg_1: 2 readings are off by whole turns, the first in data row 3: 6.5 rad in place of 0.25 rad"),
     "other-working-mode": ({"legs": (("leg_1", ("elbow",), 5, 6),)}, (), (), "readings and poses fit if these legs bend the other way than at home in mechanism.yaml: leg_1 (elbow, in 5 of 6 rows)"),
     "not-this-mechanism": ({"leg": "leg_2", "gap": 0.3}, (), (), "leg_2: the measurements miss the nominal mechanism by 30.0 % of a leg's length (median)"),
-    "readings-do-not-follow": ({"leg": "leg_1", "left": 0.01, "stroke": 0.02}, (), (), "leg_1: the readings do not follow the poses (mechanisms near the nominal one miss them by 1 % of the leg's length, of a stroke of 2 %)"),
+    "readings-do-not-follow": ({"leg": "leg_1", "left": 0.01, "stroke": 0.02}, (), (), "leg_1: the readings do not follow the poses (mechanisms near the nominal one miss them by 1 % of the leg's length; the stroke is 2 %)"),
     "rows-copied": ({"first": (1, 4), "pairs": 3}, (1, 2, 4), (), "data rows 2 and 5 are identical (and 2 more such pairs); repeated measurements would differ by noise"),
     "noise-too-large": ({"what": "position", "given": 0.1, "unit": "m", "most": 0.02, "size": 1.0}, (), (), "the noise given for the position is 0.1 m, more than 2 % of a leg's length (1 m)"),
     "gauge-base-frame": ({"freedoms": 3, "unknown_frame": True}, (), (), "the base frame (3 freedoms), since the frame of the measurements is unknown"),
-    "gauge-platform-frame": ({"freedoms": 1}, (), (), "the platform frame (1 freedom), since what was measured does not show where the platform's points lie in it"),
+    "gauge-platform-frame": ({"freedoms": 1}, (), (), "the platform frame (1 freedom), since the measurements do not show where the platform's points lie in it"),
     "gauge-scale": ({}, (), (), "the scale (1 freedom), since points touched at unknown places"),
-    "redundant-parameters": ({"count": 1, "groups": (("leg_1.l", "leg_1.L"),)}, (), (), "1 parameter is redundant, whatever is measured: leg_1.l and leg_1.L move together"),
+    "redundant-parameters": ({"count": 1, "groups": (("leg_1.l", "leg_1.L"),)}, (), (), "1 parameter is redundant whatever is measured: leg_1.l and leg_1.L move together"),
 }  # fmt: skip
 #: Values of each hypothesis, and the cause that it names.
 CLAUSES: dict[str, tuple[dict[str, Any], str]] = {
@@ -261,7 +261,7 @@ def test_what_each_hypothesis_says(code: str) -> None:
     values, words = CLAUSES[code]
     one = finding(code, **(COMMON | values))
     text = sentence(one)
-    miss = "measurements fit the mechanism to 0.01 % of a leg's length (median)"
+    miss = "the measurements fit the mechanism to 0.01 % of a leg's length (median)"
     assert text.startswith(words)
     assert f": corrected for that, {miss}; as they are, they miss it by 5.1 %. " in text
     assert text.endswith(WORDINGS[code].remedy)
@@ -276,7 +276,7 @@ def test_hypotheses_that_explain_alike_are_one_sentence() -> None:
     assert text == (
         "the readings have the opposite sign, or the readings of leg_1 are in mm under a metre "
         "header (1000 times too large) and the poses are in another frame than the base: corrected "
-        "for that, measurements fit the mechanism to 0.01 % of a leg's length "
+        "for that, the measurements fit the mechanism to 0.01 % of a leg's length "
         "(median); as they are, they miss it by 5.1 %. Change their sign, or the sensor's 'direction' in "
         "mechanism.yaml; or: Correct the units in the headers; or: Give --unknown-frame (in Python "
         "Setup(unknown_frame=True))"

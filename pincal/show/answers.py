@@ -1,4 +1,4 @@
-"""What a calibration means: the verdict first, then its accuracy, what supports it, what next."""
+"""Answers of a calibration: is it better, by how much, is it reliable, and what comes next."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ _NEXT = {
     "explain": "Find out what the model lacks",
 }
 _MOST_PAIRS = 3  # weak pairs that are named
-_NOTED = {"tolerance-found", "points-left-out"}  # among what supports the answers
+_NOTED = {"tolerance-found", "points-left-out"}  # findings listed as support of the answers
 _WRONG_ROWS = {"wrong-rows", "wrong-verification", "outliers"}
 _MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
 _HELD, _UNKNOWN = "Only frames were identified", "Not determined"
 
 
 class Answer(NamedTuple):
-    """A question that people ask, its answer in few words, and what supports it."""
+    """A question that users ask, the short answer, and its support."""
 
     question: str
     verdict: str
     tone: str
-    """``"good"``, ``"care"``, ``"bad"``, or empty of what is neither."""
+    """``"good"``, ``"care"`` or ``"bad"``; empty for a neutral answer."""
     parts: Sequence[str | list[str] | Table]
 
 
@@ -55,9 +55,9 @@ def answers(
     steps: Sequence[str],
     notes: Sequence[str] = (),
 ) -> list[Answer]:
-    """Return whether it is better, by how much, whether to rely on it, and what next.
+    """Return the answers: is it better, by how much, can I rely on it, what next.
 
-    Errors are None if the fit did not converge; notes say what was not done, and why.
+    ``errors`` is None if the fit did not converge; ``notes`` say what was not done, and why.
     """
     verdict = _NEXT.get(steps[0].split()[1], "Use it")
     following = Answer("What next?", verdict, "", [*map(command_block, steps)])
@@ -67,7 +67,7 @@ def answers(
     better, tone, reason = _improvement(result, errors)
     lines = _limit_lines(result, errors)
     if result.moves_frames and errors.determined:
-        lines += ["best-fit frames: unknown frames, placed where the machine is off least"]
+        lines += ["best-fit frames: unknown frames are placed where the errors are smallest"]
     lines, table = [f"{capital(line)}." for line in lines], accuracy_table(result, errors)
     return [
         Answer("Is it better?", better, tone, [f"{reason}."]),
@@ -78,7 +78,7 @@ def answers(
 
 
 def verdict(result: CalibrationResult, errors: WorkspaceErrors | None) -> tuple[str, str]:
-    """Return the verdict in a line, and its style in a terminal."""
+    """Return the verdict as one line, and its style in a terminal."""
     better, *further, _ = answers(result, errors, next_steps(result, errors))
     tones = {better.tone, *(answer.tone for answer in further)}
     mark, style = next(look for tone, look in _MARKS.items() if tone in tones)
@@ -92,9 +92,9 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
     if not result.explained:
         excess = f"{result.excess:.3g} times as large as the noise given"
         if not result.corrects:
-            no_better = "The identified parameters fit no better than the nominal ones"
+            no_better = "The identified parameters fit no better than the nominal parameters"
             return "No", "bad", f"Residuals are {excess}. {no_better}"
-        follows = "Rows, noise or model are wrong, and distort the parameters"
+        follows = "Wrong rows, noise or model distort the parameters"
         return "Not shown", "bad", f"Residuals fell, but are still {excess}. {follows}"
     if not errors.determined:
         if not errors.share:
@@ -103,7 +103,7 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
     if not errors.moved:
         return _HELD, "good", "All parameters of the machine were fixed"
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.inside.limit])
-    before, after, limit = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
+    before, after, limit = sizes[:, sizes[:2].any(axis=0)]  # position or orientation that moves
     ratios = before / after
     if max(ratios) > 1.0 and not (result.promises and result.degrees_of_freedom):
         return "Probably", "care", "The error falls, but no limit can be stated"
@@ -117,7 +117,7 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
 
 
 def _by(result: CalibrationResult, errors: WorkspaceErrors) -> str:
-    """Return from what the error falls to what: at held-out poses where no limit is stated."""
+    """Return the error before and after; only at held-out poses where no limit is stated."""
     held = f"{result.validation.kind} poses" if result.validation else ""
     missed = [f"{amount(size, unit)} at {held}" for unit, size in held_out_errors(result).items()]
     if not result.explained:
@@ -134,7 +134,7 @@ def _by(result: CalibrationResult, errors: WorkspaceErrors) -> str:
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     lines = [_noise_line(result), *check_lines(result), *_found_lines(result)]
     if result.outliers:
-        lines.append(f"not fitting the others: {_rows(result.outliers)}")
+        lines.append(f"do not fit the others: {_rows(result.outliers)}")
     shown, tone = "No problems", "good"
     if result.validation is None:
         shown, tone = "No poses were held out", "care"
@@ -145,7 +145,7 @@ def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
 
 
 def again(command: str, *added: str) -> str:
-    """Return a command line of the same measurements, where what was typed is not known."""
+    """Return a command line for the same measurements, with placeholders for their files."""
     return " ".join(("pincal", command, "MECH", "DATA.csv", *added))
 
 
@@ -155,7 +155,7 @@ def next_steps(
     again: Callable[..., str] = again,
     folder: str = "RESULT",
 ) -> list[str]:
-    """Return the commands that come next: ``again`` makes them of the same measurements."""
+    """Return the commands to run next; ``again`` makes a command for the same measurements."""
     codes = {finding.code for finding in result.findings}
     if not result.converged or not result.corrects:
         return [again("doctor")]
@@ -183,13 +183,13 @@ def _uses(result: CalibrationResult, folder: str) -> list[str]:
 
 
 def next_line(steps: Sequence[str]) -> str:
-    """Return the first of the next steps, as a terminal shows it."""
+    """Return the first of the next steps as a line for the terminal."""
     other = "measure again, or " * (steps[0].split()[1] == "calibrate")
     return f"next: {other}{steps[0]}"
 
 
 def command_block(step: str) -> Markup:
-    """Return a command for a page, to be copied as a whole."""
+    """Return a command as HTML, in a block of its own."""
     return Markup("<pre><code>{}</code></pre>").format(clean(step))
 
 
@@ -197,27 +197,27 @@ def command_block(step: str) -> Markup:
 
 
 def warnings(result: CalibrationResult) -> list[str]:
-    """Return what to know first."""
+    """Return the warnings, first that the fit did not converge."""
     return [*([] if result.converged else [f"The fit {result.message}"]), *result.warnings]
 
 
 def unpromised(result: CalibrationResult) -> str:
-    """Return why no limit is promised, in titles of findings; empty if one is."""
+    """Return the titles of the findings that forbid a limit of the error; empty if none does."""
     return ", ".join(dict.fromkeys(WORDINGS[lack.code].title for lack in result.contradictions))
 
 
 def _limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
-    """Return why no limit is promised, or where and against what none is, in a line."""
+    """Return a line that says why no limit is stated, or which effects the limit leaves out."""
     if not result.promises:
         return [f"no limit is stated: {unpromised(result)}"] if result.contradictions else []
     parts = [UNCOVERED[code] for code in errors.inside.uncovered]
-    return [f"without {', '.join(parts)}"] if parts else []
+    return [f"the limit does not cover {', '.join(parts)}"] if parts else []
 
 
 def summary(
     result: CalibrationResult, errors: WorkspaceErrors | None, notes: Sequence[str] = ()
 ) -> list[str | Table]:
-    """Return what follows the verdict, in a terminal and in Python."""
+    """Return the lines and tables below the verdict, in a terminal and in Python."""
     if errors is None:
         return [*notes]
     lines = [*rejected_lines(result), *_limit_lines(result, errors), *_found_lines(result)]
@@ -225,7 +225,7 @@ def summary(
 
 
 def _found_lines(result: CalibrationResult) -> list[str]:
-    """Return tolerances that were found, and which coordinates no row measures, in lines."""
+    """Return lines on estimated tolerances, points left out and coordinates never measured."""
     lines = [sentence(finding) for finding in result.findings if finding.code in _NOTED]
     data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
     missing = [bool(np.isnan(values).all()) for values in data.poses.T]
@@ -239,7 +239,7 @@ def _found_lines(result: CalibrationResult) -> list[str]:
 
 
 def rejected_lines(result: CalibrationResult) -> list[str]:
-    """Return which rows a robust loss left out, and what is wrong with the worst, in a line."""
+    """Return a line that names the rows a robust loss left out, and how far the worst is off."""
     rejected = [outlier for outlier in result.outliers if outlier.weight == 0.0]
     if not rejected or result.loss == "none":
         return []
@@ -254,27 +254,27 @@ def _rows(outliers: Sequence[Outlier]) -> str:
 
 
 def supporting_lines(result: CalibrationResult) -> list[str]:
-    """Return what a calibration means, beside its tables and remarks."""
+    """Return lines on the fit, its noise, held-out rows, weak pairs and choices of gauge."""
     lines = [result.message, _noise_line(result)]
     if not result.converged:
         return lines
     if result.begun is not result.nominal:
-        lines.append("nominal errors are with the zeros of motors as found")
+        lines.append("nominal errors are stated with the zeros of motors as identified")
     lines += [*check_lines(result), *weak_lines(result.weak, result.nominal)]
     lines += [f"fixed by choice, {gauge_line(result)}"] if result.gauge else []
     return lines
 
 
 def gauge_line(result: CalibrationResult) -> str:
-    """Return what no such measurement can determine, and how it was chosen."""
+    """Name the freedoms that such measurements cannot determine, and how they were chosen."""
     freedoms = "; ".join(map(sentence, result.gauge))
-    return f"of equivalent parameters those nearest to nominal: {freedoms}"
+    return f"the nearest to nominal of all equivalent parameters: {freedoms}"
 
 
 def _noise_line(result: CalibrationResult) -> str:
     dof, free, source = result.degrees_of_freedom, result.chi2_freedoms, result.noise_source
     if not dof:
-        return "as many unknowns as measured values, so residuals vanish: measure more poses"
+        return "there are as many unknowns as measured values, so residuals vanish: measure more"
     parts = [f"noise {noise_line(result)}"] if source in ("estimated", "repeats") else []
     if source != "estimated":
         parts.append(f"reduced χ² {rounded(result.reduced_chi2, 3)}, {dof} degrees of freedom")
@@ -285,10 +285,10 @@ def _noise_line(result: CalibrationResult) -> str:
 
 
 def noise_line(result: CalibrationResult) -> str:
-    """Return where the noise comes from, and standard deviations of what was measured."""
+    """Return the source of the noise, and the standard deviations of the measurements."""
     noise, observed = result.noise, result.calibration.observation
     if noise is None:
-        return "of each row, as the measurements say"
+        return "by row, from the columns of the measurements"
     columns = zip(observed.units, observed.measured.T, strict=True)
     measured = {unit for unit, values in columns if values.any()}
     sizes = noise_in_words(
@@ -302,14 +302,14 @@ def noise_line(result: CalibrationResult) -> str:
 
 
 def check_lines(result: CalibrationResult) -> list[str]:
-    """Return how held-out rows compare with what is expected of them, in a line."""
+    """Return a line that compares the error of held-out rows with its expectation."""
     if (validation := result.validation) is None:
         return []
     folds, count, kind = validation.folds, validation.rows, validation.kind
     rows = f"{folds} folds" if folds > 1 else f"{count} rows"
     if validation.fit > MISSES:
         return [
-            f"{kind} rows prove nothing: the fit misses even its own rows by "
+            f"{kind} rows prove nothing, since the fit misses even its own rows by "
             f"{validation.fit:.3g} σ ({rows}). See the warnings first"
         ]
     return [
@@ -320,7 +320,7 @@ def check_lines(result: CalibrationResult) -> list[str]:
 
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
-    """Return which pairs of parameters are weakly determined; legs alike in one line."""
+    """Return lines on weakly determined pairs of parameters; equal pairs of legs share a line."""
     groups: dict[tuple[str, str], list[WeakPair]] = {}
     for pair in pairs:
         first, second = (mechanism.parameters[id_] for id_ in (pair.first, pair.second))
@@ -332,7 +332,7 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
         shown = f"{listed(names)} of {len(others) + 1} legs" if others else listed(worst[:2])
         lines.append(
             f"{shown} are weakly determined together (correlation {worst.correlation:+.3f}): "
-            "measure one of them otherwise, and the other is known better"
+            "measure one of them by other means, and the other is known better"
         )
     omitted = len(groups) - len(lines)
     return [*lines, f"and {counted(omitted, 'more such pair')}"] if omitted else lines

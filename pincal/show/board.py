@@ -1,4 +1,4 @@
-"""Boards on paper, in true size with a bar to check them; and photos with what was seen in them."""
+"""Boards on paper in true size, with a bar to check it; and photos with the points seen in them."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ PAPERS = {
     "a1": (0.594, 0.841),
     "a0": (0.841, 1.189),
 }
-"""Width and height, [m]."""
-_MARGIN, _FOOT = 0.004, 0.018  # [m]; the foot has the bar and what the board is
+"""Width and height of papers, [m]."""
+_MARGIN, _FOOT = 0.004, 0.018  # [m]; the foot holds the bar and a description of the board
 _INCH = 0.0254  # [m]
 
 
@@ -78,7 +78,7 @@ _ACROSS, _WIDTH = 4, 3.2  # photos side by side, and the width of each [in]
 
 
 def contact_sheet(photos: Sequence[PhotoPoints]) -> Figure:
-    """Return small pictures of photos, in which points that were used and left out are drawn."""
+    """Return thumbnails of photos with their used points and the points left out."""
     count = min(_ACROSS, len(photos))
     heights = [photo.size[1] / photo.size[0] for photo in photos]
     rows = -(-len(photos) // count)

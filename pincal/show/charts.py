@@ -1,8 +1,8 @@
-"""Charts of a calibration: what a metrologist asks, each question drawn into axes once.
+"""Charts of a calibration, as a metrologist would ask for them.
 
-``Plots`` is the registry, and ``result.plot``: ``pincal plot`` and the report draw these by name,
-their docstrings are captions. Residuals after the fit are drawn over their standard deviations,
-σ√(1−h) of leverage h.
+``Plots`` is the registry of charts, and the class of ``result.plot``. ``pincal plot`` and the
+report draw its charts by name; the methods' docstrings are their captions. Residuals after the fit
+are divided by their standard deviations σ√(1−h), with leverage h.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from pincal.types import Array
 from pincal.words.numbers import SMALL, STORED, amount, per_si
 from pincal.words.wording import clean
 
-_NORMAL = 1.96  # standard deviations within which 95 of 100 normal numbers lie
+_NORMAL = 1.96  # standard deviations within which 95 % of normal numbers lie
 _NAMED = 6  # outliers that are named
-_GAP = 0.08  # between images, of the widest
-_ARROW = 0.07  # length of a typical large arrow, of the widest image
-_LARGE = 0.9  # share of arrows that are shorter
+_GAP = 0.08  # gap between images, over the width of the widest image
+_ARROW = 0.07  # length of a typical large arrow, over the width of the widest image
+_LARGE = 0.9  # share of arrows that are shorter than a typical large arrow
 
 
 class Plots:
-    """Charts of a result, as ``result.plot``: each returns its axes, those given or new ones."""
+    """Charts of a result, as ``result.plot``; each draws into the given or new axes."""
 
     def __init__(self, result: CalibrationResult) -> None:
         self.result = result
@@ -41,8 +41,8 @@ class Plots:
     def residuals(self, ax: Axes | None = None) -> Axes:
         """Draw residuals after the calibration against the row of the measurements.
 
-        Each over its own standard deviation after the fit, σ√(1−h). 95 % are expected in the bands,
-        which reach to ±1.96. Hollow: held-out rows, each by how many σ it is missed as a whole.
+        Each is divided by its own standard deviation after the fit, σ√(1−h). 95 % are expected in
+        the bands, which reach to ±1.96. Hollow: held-out rows, each with its error as a whole in σ.
         Crosses at the upper edge: rows that do not fit the others.
         """
         ax, result = ax or _axes(6.4, 4.2), self.result
@@ -51,7 +51,7 @@ class Plots:
         if held is not None:
             lanes.append((held.kind, np.arange(len(held.sigma)), held.sigma))
         sizes = [np.nanmax(np.abs(values), initial=0.0) for _, _, values in lanes]
-        lane = max(6.0, 2.2 * float(max(sizes, default=0.0)))  # from one kind to the next
+        lane = max(6.0, 2.2 * float(max(sizes, default=0.0)))  # spacing of the groups
         for index, (_, rows, values) in enumerate(lanes):
             of_leg = index < len(groups) and groups[index].parameters
             colour = leg_colour(index) if of_leg else EVERY
@@ -75,10 +75,10 @@ class Plots:
         return ax
 
     def images(self, ax: Axes | None = None) -> Axes:
-        """Draw what cameras saw: arrows from each point as seen towards where it is predicted.
+        """Draw the residuals of cameras: arrows from each seen point towards its prediction.
 
-        Magnified alike in all images. Where arrows of a region point one way, the lens is other
-        than its model.
+        All images have the same magnification. Where the arrows of a region point one way, the
+        model of the lens does not fit the lens.
 
         Raises:
             MeasurementError: no camera measured.
@@ -124,14 +124,14 @@ class Plots:
         return ax
 
     def error_map(self, ax: Axes | None = None) -> Axes:
-        """Draw the error of the platform's position to expect after the calibration.
+        """Draw the expected error of the platform's position after the calibration.
 
-        Standard error over the workspace, in space in the middle of its height; the other
-        coordinates are as at home. White: not in the workspace.
+        The map shows the standard error over the workspace, for machines in space at half its
+        height; the other coordinates are as at home. White: not in the workspace.
 
         Raises:
-            MeasurementError: residuals are so large that no accuracy can be promised, or what the
-                measurements do not determine leaves no error finite.
+            MeasurementError: residuals are too large to state an accuracy, or the measurements do
+                not determine the position at any pose.
             WorkspaceError: no workspace was found with the default margins.
         """
         ax = ax or _axes(5.0, 4.2)
@@ -146,7 +146,7 @@ class Plots:
         if np.isnan(errors).all():
             raise MeasurementError("no map: the platform's position is not determined anywhere")
         errors *= per_si("m")
-        most = float(np.nanquantile(errors, 0.95))  # few cells at the edge hide no others
+        most = float(np.nanquantile(errors, 0.95))  # so that a few cells at the edge do not hide it
         _draw_map(ax, x, y, errors, "expected error of position", cmap="cividis", vmax=most)
         if height is not None:
             ax.set_title(f"z = {amount(height, 'm', 3, STORED)}".replace("-", "−"))
@@ -158,7 +158,7 @@ def _axes(width: float, height: float) -> Axes:
 
 
 def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str, **colours: Any) -> None:
-    """Draw values as they are read over x and y [m], shape (n_y, n_x)."""
+    """Draw values, shape (n_y, n_x), in displayed units, over x and y [m]."""
     x, y = per_si("m", STORED) * x, per_si("m", STORED) * y
     half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
     extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
@@ -173,4 +173,4 @@ def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
         for group in noisy_residuals(result)
     )
     if unchecked:
-        axes.set_title(f"{unchecked} not drawn: the fit follows them", fontsize=8)
+        axes.set_title(f"{unchecked} not drawn: the fit follows these values exactly", fontsize=8)

@@ -1,4 +1,4 @@
-"""What a controller needs of a calibrated machine, as a folder: kinematics, data sheet, how to."""
+"""Folders for controllers of calibrated machines: kinematics, a data sheet, instructions."""
 
 from __future__ import annotations
 
@@ -37,47 +37,46 @@ from pincal.workspace.sampling import sample_workspace
 
 SHEET, HOW_TO, LINUXCNC = "geometry.csv", "commanding.md", "linuxcnc.hal"
 CORRECTIONS = "corrections.csv"
-_UNSEEN = 500  # poses at which a grid is tried; it is fitted to three for each node, and as many
-_FEW = 100  # poses in a box, of which a quarter are for trying
+_UNSEEN = 500  # poses at which a grid is tested; it is fitted to three per node and 500 more
+_FEW = 100  # fewest poses in a box, of which a quarter test the grid
 _GRID = """
 ## A controller whose geometry cannot be changed
 
-Command `corrected(T)` (C: `{}_corrected(T, commanded)`) in place of T: `corrections.csv` has its
-grid: poses, and what to command there; it is linear between. Poses that were not used for it are
-then missed by {}; without it by {}.
+Command `corrected(T)` (C: `{}_corrected(T, commanded)`) in place of T. `corrections.csv` has the
+grid: poses, and the pose to command for each; it is linear between them. Poses that were not used
+to fit the grid are then missed by {}; without corrections by {}.
 """
 _log = logging.getLogger(__name__)
 _NEAR = (
-    "Give `near`, joints of the last call: faster, and sure where legs may bend in several ways."
+    "Give `near`, joints of the last call: faster, and certain if legs may bend in several ways."
 )
 _ARM = (
-    "An arm reaches a pose in several ways: `near`, joints of the last call, say which; begin with "
-    "those of `forward`, at the readings where it stands. Without them it is sought from {} "
-    "configurations, the nearest first, until joints are within their limits: so {} of {} poses "
-    "of the workspace are found, {} within limits. Poses side by side may then be reached in "
-    "different ways."
+    "An arm reaches a pose in several ways: `near`, joints of the last call, selects one; begin "
+    "with the joints that `forward` returns for the present readings. Without `near`, the search "
+    "starts from {} configurations, nearest first, until joints are within limits: it finds {} of "
+    "{} poses of the workspace, {} within limits. Neighbouring poses may be reached differently."
 )
-_TRIED = 100  # poses of an arm that are sought
+_TRIED = 100  # poses of an arm for which solutions are sought
 
 
 @dataclass(frozen=True)
 class GridOptions:
-    """Corrections for a controller whose geometry cannot be changed."""
+    """Options of corrections for a controller whose geometry cannot be changed."""
 
     grid: int = option(
         0,
-        "Correct commanded poses on a grid of so many nodes, for a controller whose geometry "
+        "Correct commanded poses on a grid with this many nodes, for a controller whose geometry "
         "cannot be changed; 4096 is a good number.",
     )
     box: str = option("", option_of(Limits, "box"))
     controller: Path | None = option(
         None,
-        "Mechanism that this controller knows [default: RESULT's nominal one].",
+        "Mechanism that this controller assumes [default: the nominal mechanism of RESULT].",
         metavar="MECH",
     )
 
     def __post_init__(self) -> None:
-        """Check that the grid has nodes, if it has a box or a controller."""
+        """Check that there is a grid if a box or a controller is given."""
         count = count_of(self.grid, "grid", MeasurementError, 0, 5000)
         if not count and (self.box or self.controller):
             raise MeasurementError("--box and --controller are for --grid; give --grid 4096, too")
@@ -91,25 +90,25 @@ def deploy(
     units: str = "",
     **correction: Any,
 ) -> None:
-    """Write what a controller needs of a machine to a folder.
+    """Write a folder with all that a controller needs of a machine.
 
-    Kinematics as one Python file and one C99 header that need nothing else, equal to pincal's; a
-    sheet of joint centres and lengths, with standard errors of a result; HAL lines for LinuxCNC
-    where the machine is a hexapod or a delta; and ``commanding.md``, which says how to use them.
+    It holds pincal's kinematics as one Python file and one C99 header without dependencies; a sheet
+    of joint centres and lengths, with standard errors for a result; HAL lines for LinuxCNC if the
+    machine is a hexapod or a delta; and ``commanding.md``, which says how to use these files.
 
     Args:
         machine: A result of ``calibrate`` or its folder, whose frame and measured point are
             written too; or a mechanism, its name or its folder.
-        folder: Where to write.
-        force: Overwrite what is there.
-        units: Of the tables, such as ``"mm,deg"``; SI if not given.
-        **correction: ``grid``, ``box``, ``controller`` of ``GridOptions``: corrections of
-            commanded poses, as ``corrections.csv`` and ``corrected`` of both files.
+        folder: Folder to write.
+        force: Overwrite the folder if it exists.
+        units: Units of the tables, such as ``"mm,deg"``; SI if not given.
+        **correction: Fields ``grid``, ``box``, ``controller`` of ``GridOptions``. Corrections of
+            commanded poses become ``corrections.csv`` and a function ``corrected`` in both files.
 
     Raises:
-        MechanismError: terms that no file can hold; a grid for a machine whose poses do not
-            determine readings, or which has more of these than freedoms.
-        MeasurementError: a result that did not converge.
+        MechanismError: the machine has terms that the files cannot hold, or a grid is asked for
+            and its poses do not determine its readings, or it has more readings than freedoms.
+        MeasurementError: the result did not converge.
         FileError: the folder exists, or cannot be written.
 
     Example:
@@ -155,7 +154,7 @@ def deploy(
 
 
 def _linuxcnc(mechanism: Mechanism) -> dict[str, str]:
-    """Return the file for LinuxCNC, by its name; none if it has no kinematics of such machines."""
+    """Return the file for LinuxCNC by name; empty if LinuxCNC has no kinematics for the machine."""
     with suppress(MechanismError):
         return {LINUXCNC: genhexkins(mechanism)}
     with suppress(MechanismError):
@@ -167,12 +166,12 @@ def _linuxcnc(mechanism: Mechanism) -> dict[str, str]:
 def _with_grid(
     deployed: Deployed, controller: Mechanism, options: GridOptions
 ) -> tuple[Deployed, tuple[str, str]]:
-    """Return what is deployed with corrections on a grid, and misses with and without, in words."""
+    """Return ``deployed`` with a grid of corrections, and errors with and without it, in words."""
     machine, platform = deployed.mechanism, deployed.mechanism.platform
     if machine.by_readings:
         raise MechanismError(
-            f"poses of {machine.name!r} do not determine its readings, so they have no grid of "
-            "corrections; poses of a program by 'pincal inverse', then 'pincal forward CONTROLLER'"
+            f"poses of {machine.name!r} do not determine its readings, so a grid cannot correct "
+            "them; use 'pincal inverse' and 'pincal forward CONTROLLER' on a program's poses"
         )
     if controller.platform.coordinates != platform.coordinates:
         raise MechanismError(
@@ -183,7 +182,7 @@ def _with_grid(
     drawn = sample_workspace(machine, count * (8 if options.box else 1))
     poses = drawn[Limits(options.box).allow(machine, Plan(drawn), Setup())]
     if len(poses) < _FEW:
-        raise MechanismError(f"{len(poses)} of {len(drawn)} poses are within --box; widen it")
+        raise MechanismError(f"only {len(poses)} of {len(drawn)} poses are within --box; widen it")
     tried = min(_UNSEEN, len(poses) // 4)
     poses, unseen = poses[tried:count], poses[:tried]
     grid = correction_grid(machine, controller, poses, options.grid)
@@ -204,7 +203,7 @@ def _with_grid(
 
 
 def _example(deployed: Deployed) -> tuple[list[float], list[float], str]:
-    """Return a pose that is found, home if it is, its readings, and what to say of ``near``."""
+    """Return a reachable pose (home if it is), its readings, and advice on ``near``."""
     kinematics, poses, near = deployed.kinematics, [[*deployed.mechanism.platform.home]], _NEAR
     if any(leg.is_arm for leg in deployed.mechanism.legs):
         poses += sample_workspace(deployed.mechanism, _TRIED).tolist()
@@ -218,7 +217,7 @@ def _example(deployed: Deployed) -> tuple[list[float], list[float], str]:
 
 
 def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str:
-    """Return the page that says how to command the machine."""
+    """Return the instructions for commanding the machine, in Markdown."""
     mechanism = deployed.mechanism
     shown, values, near = _example(deployed)
     names, counts = mechanism.reading_names, mechanism.counts
@@ -226,16 +225,16 @@ def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str
     frames = "Poses are T_base_platform, in the frame that the machine was measured in."
     if not (np.allclose(deployed.frame, np.eye(4)) and np.allclose(deployed.tool, np.eye(4))):
         frames = (
-            "Poses are T_base_platform. Of a pose of the measured point in the frame of the "
-            "measurements (the tracker's), `in_base(T)` makes one; `in_frame(T)` goes back."
+            "Poses are T_base_platform. `in_base(T)` converts a pose of the measured point in the "
+            "frame of the measurements (the tracker's) to such a pose; `in_frame(T)` converts back."
         )
     influences = "Nothing: the kinematics follow from readings alone."
     if mechanism.influences:
         loads = "; loads of gravity are computed where they are nan" * bool(mechanism.loaded)
         influences = (
             f"Terms depend on {', '.join(f'`{name}`' for name in mechanism.influences)}, in this "
-            "order the second argument of `inverse` and `forward`; nan where one is not known, so "
-            f"that its terms are at their reference{loads}."
+            "order the second argument of `inverse` and `forward`; unknown values are nan, which "
+            f"leaves their terms at the reference{loads}."
         )
     return Template(Path(templates.__file__).with_name(HOW_TO).read_text("utf-8")).substitute(
         name=mechanism.name,

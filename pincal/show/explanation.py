@@ -1,4 +1,4 @@
-"""What ``explain``, ``doctor`` and ``identifiability`` say, in sentences."""
+"""Output of ``explain``, ``doctor`` and ``identifiability``, in sentences."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _VERDICTS = {
     "as drawn": f"keep the nominal machine: {_KEEP}",
     "rigid alignment": "rigid alignment only: keep the nominal machine, and locate its base; "
     + _KEEP,
-    "not compared": "models cannot be compared: the rows without one fold do not determine the "
-    "geometry; measure more poses",
+    "not compared": "models cannot be compared, since the rows without one fold do not determine "
+    "the geometry: measure more poses",
     "geometry": "geometry is enough: no term predicts held-out rows better",
     "terms": "these terms help: held-out rows miss by {held_out:.2f} σ instead of {before:.2f} σ "
     "with geometry alone",
 }
-#: What slipped, and what to do about it.
+#: Subject and remedy of a slip, by its kind.
 _SLIPPED = {
     "frame": (
         "the frame of the measurements, or the robot's base,",
@@ -54,17 +54,17 @@ _SLIPPED = {
     ),
 }
 _MEND = (
-    "fix that first: repeat what was measured after a slip, or name the parts in a column run; "
+    "fix that first: repeat the measurements after a slip, or name the parts in a column 'run'; "
     "until then other terms may only mimic it"
 )
 _BY_CHANCE = (
-    f"no term explains it, and 1 in {1 / FALSE_ALARM:.0f} sets of sound measurements shows one by "
-    "chance: measure again, in another order"
+    f"no term explains it, and 1 in {1 / FALSE_ALARM:.0f} sets of sound measurements shows a "
+    "pattern by chance: measure again in another order"
 )
 
 
 def explanation_lines(explanation: Explanation) -> list[str]:
-    """Return what is seen, the likeliest first, and the verdict."""
+    """Return slips, significant terms (the most significant first) and the verdict, in lines."""
     result, candidates = explanation.result, explanation.candidates
     nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
     lines, remaining = list(map(_slip_line, explanation.slips)), visible
@@ -80,14 +80,14 @@ def explanation_lines(explanation: Explanation) -> list[str]:
             "corrected for their number"
         )
     lines += [
-        f"fold {fold + 1} is not compared, since the other rows do not determine it: {reason}"
+        f"fold {fold + 1} is not compared, since the other rows do not determine a model: {reason}"
         for fold, reason in explanation.lost
     ]
     return [*lines, *_verdict_lines(explanation, visible)]
 
 
 def _verdict_lines(explanation: Explanation, visible: Sequence[Candidate]) -> list[str]:
-    """Return the verdict, and what to do where residuals follow a pattern in spite of it."""
+    """Return the verdict, and a remedy if residuals follow a pattern nevertheless."""
     result = explanation.result
     sizes = {"held_out": explanation.model.held_out, "before": explanation.models[1].held_out}
     lines = [_VERDICTS[explanation.verdict].format(**sizes)]
@@ -107,7 +107,7 @@ def _seen_line(candidate: Candidate, mechanism: Mechanism) -> str:
     if candidate.kind == PULLEY:
         radii = np.unique(np.round(np.abs(candidate.values), 3))
         shown = dict.fromkeys(amount(radius, "m", 2) for radius in radii[[0, -1]])
-        cause += f", of a radius of {' to '.join(shown)} as one step finds it"
+        cause += f", with a radius of {' to '.join(shown)} after one step of the fit"
     if candidate.spread:
         sizes, unit = np.hypot.reduce(candidate.values.reshape(-1, 2), axis=1), candidate.unit
         largest, (period,) = int(np.argmax(sizes)), candidate.kind.numbers
@@ -152,27 +152,27 @@ def _slip_line(slip: Slip) -> str:
 
 
 def explanation_page(explanation: Explanation) -> str:
-    """Return tables and verdict as text."""
+    """Return the tables and lines of an explanation as text."""
     tables = [str(screen_table(explanation)), str(models_table(explanation))]
     return "\n".join([*tables, *explanation_lines(explanation)])
 
 
 def tried(remedy: Remedy) -> str:
-    """Return what was tried, in a few words."""
+    """Return the assumptions of a remedy in a few words."""
     options = remedy.calibration.options
     framed = any(finding.values["unknown_frame"] for finding in remedy.findings)
     parts = [filled(HYPOTHESES[finding.code].says, finding) for finding in remedy.findings]
     if options.setup.unknown_frame and not framed:
-        parts.append("the base is elsewhere in the frame of the measurements")
+        parts.append("the place of the base in the frame of the measurements is unknown")
     if options.setup.targets[ORIGIN].unknown:
-        parts.append("the target is elsewhere on the platform")
+        parts.append("the place of the target on the platform is unknown")
     parts += ["rows that do not fit are left out"] if options.loss == "reject" else []
     parts += ["its dimensions are known only roughly"] if options.rough else []
     return " and ".join(parts) or "as measured"
 
 
 def remedy_table(remedies: Sequence[Remedy]) -> Table:
-    """Return the table of what was tried."""
+    """Return a table of the remedies tried, with χ²/dof and outcome."""
     rows = []
     for remedy in remedies:
         result, outcome = remedy.result, "refused"
@@ -190,7 +190,7 @@ def remedy_table(remedies: Sequence[Remedy]) -> Table:
 
 
 def advice(remedies: Sequence[Remedy]) -> list[str]:
-    """Return what to do: at the source of what works, or else about each refusal."""
+    """Return the corrections behind the remedies that work, else why each remedy was refused."""
     working = [finding for remedy in remedies if remedy.works for finding in remedy.findings]
     if any(remedy.works for remedy in remedies):
         results = [remedy.result for remedy in remedies if remedy.works and remedy.result]
@@ -204,9 +204,9 @@ def advice(remedies: Sequence[Remedy]) -> list[str]:
 
 
 def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
-    """Return what a plan determines, and what error of the platform over the workspace.
+    """Return what a plan determines, and the expected error of the platform over the workspace.
 
-    What is not determined first, whether or not it is a fault of the plan.
+    The first lines name everything undetermined, whether or not the plan could determine it.
     """
     rank = forecast.rank
     count = rank.n_params - rank.rank - forecast.lost.shape[1]

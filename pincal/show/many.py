@@ -1,4 +1,4 @@
-"""Many machines, or one over months: how errors are distributed, by what, who is out of line."""
+"""Studies of many machines, and the history of a single machine, as lines, tables and a page."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ from pincal.words.table import Cell, Table, Value
 from pincal.words.wording import rendered
 
 _QUANTILES = {"median": 0.5, "95 %": 0.95, "99 %": 0.99, "worst": 1.0}
-_FAMILY, _ALARM = 5, 0.01  # machines of a family at least; chance that a sound line has any outside
-_TESTS = 5  # of a calibration, each of which warns of one sound machine in a hundred
+_FAMILY, _ALARM = 5, 0.01  # fewest machines of a family; chance of an alarm in a sound line
+_TESTS = 5  # tests per calibration, each with a false alarm for one sound machine in a hundred
 _HEADS = {
     "before": "before calibration",
     "after": "after calibration",
     "worst": "after calibration, worst pose",
 }
-_LIMIT = 3.0  # standard errors within which an individuals chart has its points
+_LIMIT = 3.0  # control limits of an individuals chart, in standard errors
 _MONTH = 30.44  # days
 _CHARTS = 6  # parameters that are drawn
 
 
 def montecarlo_lines(study: MonteCarlo) -> list[str | Table]:
-    """Return the verdict of a study, why machines failed, how errors are distributed, and why."""
+    """Return a study's verdict, reasons of failures, quantiles of errors and shares of causes."""
     name, unit = study.mechanism.name, study.mechanism.platform.units[0]
     fine = study.columns[FAILURE] == ""
     causes = Counter(cause for cause in study.columns[FAILURE] if cause).most_common(3)
@@ -79,17 +79,17 @@ def montecarlo_lines(study: MonteCarlo) -> list[str | Table]:
         by_noise -= 100.0 * cost.after
     costs.append(["noise of the measurements", None, None, by_noise])
     heads = ["", "tolerance (σ)", "before [%]:.0f", "after [%]:.0f"]
-    shares = Table("What makes the mean square error", heads, costs)
+    shares = Table("Contributions to the mean square error", heads, costs)
     return [verdict, *failures, Table(title, ["", *_QUANTILES], rows), shares]
 
 
 def montecarlo_text(study: MonteCarlo) -> str:
-    """Return what ``pincal montecarlo`` prints."""
+    """Return the output of ``pincal montecarlo``."""
     return "\n".join(map(str, montecarlo_lines(study)))
 
 
 def row_columns(mechanism: Mechanism) -> list[str]:
-    """Return the columns of a table of calibrations."""
+    """Return the column heads of a table of calibrations, one machine a row."""
     texts = ["file", "sha256", FAILURE, "verdict"]
     values = [name for p in mechanism.parameters for name in (p.column, f"std {p.column}")]
     errors = error_columns(mechanism, "limit")
@@ -97,10 +97,10 @@ def row_columns(mechanism: Mechanism) -> list[str]:
 
 
 def row_of_result(result: CalibrationResult, workspace: Plan | None) -> Row:
-    """Return what a table says of a calibration: verdict, accuracy, χ², parameters.
+    """Return the row of a calibration in such a table: verdict, accuracy, χ², parameters.
 
     Raises:
-        MeasurementError: it did not converge.
+        MeasurementError: the fit did not converge.
     """
     if not result.converged:
         raise MeasurementError(f"the fit {result.message}")
@@ -126,10 +126,10 @@ def row_of_result(result: CalibrationResult, workspace: Plan | None) -> Row:
 
 
 def out_of_family(columns: Columns, mechanism: Mechanism) -> list[tuple[str, str]]:
-    """Return files whose parameters lie outside the control limits of the others, and how far.
+    """Return files with a parameter outside the control limits of the other files, and a sentence.
 
-    Each is compared with the mean of the others, by Student's distribution of such a difference
-    (externally studentised); a sound family has one outside in a hundred cases.
+    Each value is compared with the mean of the others by its externally studentised difference
+    (Student's t); in one of a hundred sound families a value lies outside.
     """
     fine = columns[FAILURE] == ""
     n, outside = int(fine.sum()), list[tuple[str, str]]()
@@ -151,9 +151,9 @@ def out_of_family(columns: Columns, mechanism: Mechanism) -> list[tuple[str, str
 
 
 def warned_by_chance(columns: Columns) -> NDArray[np.bool_]:
-    """Return which machines have no warning but such as a sound line has by chance, shape (N,).
+    """Return which machines have only warnings that a sound line has by chance, shape (N,).
 
-    A line is one family of tests: its level is that of a single one (Holm 1979).
+    All tests of a line are one family with the level of a single test (Holm 1979).
     """
     p = np.nan_to_num(columns["p_warnings"], nan=1.0)
     order, tests = np.argsort(p, kind="stable"), _TESTS * len(p) - np.arange(len(p))
@@ -164,14 +164,14 @@ def warned_by_chance(columns: Columns) -> NDArray[np.bool_]:
 
 
 def batch_lines(columns: Columns, mechanism: Mechanism) -> tuple[list[str | Table], list[str]]:
-    """Return what many calibrations say: verdict, who is out of family, a table; and bad files."""
+    """Return the verdict on many calibrations with machines out of family; and the bad files."""
     fine, unit = columns[FAILURE] == "", mechanism.platform.units[0]
     outside, by_chance = out_of_family(columns, mechanism), warned_by_chance(columns)
     rows, bad = list[list[Value]](), list[str]()
     for i, (name, verdict) in enumerate(zip(columns["file"], columns["verdict"], strict=True)):
         if by_chance[i]:
             p_value = chance(columns["p_warnings"][i])
-            verdict = f"⚠{verdict[1:]}, as by chance in a line of {len(fine)} ({p_value})"
+            verdict = f"⚠{verdict[1:]}, expected by chance among {len(fine)} machines ({p_value})"
         rows.append([name, verdict or f"✗ no result: {columns[FAILURE][i]}"])
         bad += [name] * (verdict[:1] in ("", "✗"))
     mark = "⚠" if (bad or outside) and fine.any() else "✗" if bad else "✓"
@@ -186,14 +186,14 @@ def batch_lines(columns: Columns, mechanism: Mechanism) -> tuple[list[str | Tabl
 
 
 class HistoryPage(Page):
-    """The page of a machine's history; an accuracy is wanted of its platform, [m] or [rad]."""
+    """The page of a machine's history; ``accuracy`` is the one required, [m] or [rad]."""
 
     def __init__(self, history: History, accuracy: float | None = None) -> None:
         self.history, self.accuracy = history, accuracy
 
     @property
     def lines(self) -> list[str | Table]:
-        """The verdict, what changed, and a table, as ``pincal history`` prints them."""
+        """The verdict, changed parameters, drift and a table, as ``pincal history`` prints them."""
         history, name = self.history, self.history.results[0].nominal.name
         trusted = history.results[-1].promises and "now" not in self._due
         mark = "✓" if trusted and not self._changed else "⚠"
@@ -206,7 +206,7 @@ class HistoryPage(Page):
 
     @cached_property
     def _changed(self) -> list[str]:
-        """Say what each parameter changed by, between which calibrations."""
+        """One line for each change of a parameter between successive calibrations."""
         lines, names = list[str](), self.history.names
         for before, after, changes in zip(names, names[1:], self.history.changes, strict=False):
             for change in changes:
@@ -221,7 +221,7 @@ class HistoryPage(Page):
     @property
     def _drift(self) -> str:
         if (drift := self.history.drift) is None:
-            return "drift: too few calibrations, a trend needs three dates"
+            return "drift: too few calibrations; a trend needs three dates"
         unit = self.history.results[0].nominal.platform.units[0]
         rate, twice = (amount(_MONTH * value, unit, 2) for value in drift)
         return f"drift at the measured poses: {rate} a month (± {twice})"
@@ -230,9 +230,9 @@ class HistoryPage(Page):
     def _due(self) -> str:
         due = None if self.accuracy is None else self.history.due(self.accuracy)
         if self.history.drift is None:
-            return "next check: too few calibrations to say, three dates at least"
+            return "next check: not known, since a trend needs calibrations on three dates"
         if self.accuracy is None:
-            return "next check: --accuracy 0.1mm says when"
+            return "next check: give --accuracy (such as 0.1mm) to compute it"
         if due is None or due <= self.history.dates[-1]:
             return "next check: now"
         return f"next check: not before {due:%Y-%m-%d}"
@@ -263,7 +263,7 @@ class HistoryPage(Page):
         count, (first, *_, last) = counted(len(history.dates), "calibration"), history.dates
         due = capital(self._due.removeprefix("next check: "))
         note = (
-            "Bars: 95 % intervals. Band: ± 3 standard errors about the mean, by variance, of all "
+            "Bars: 95 % intervals. Band: ± 3 standard errors about the weighted mean of all "
             "calibrations. Red: outside."
         )
         return rendered(
@@ -285,7 +285,7 @@ class HistoryPage(Page):
 
 
 def _charts(history: History) -> list[Markup]:
-    """Return charts of parameters over time, of those first that strayed farthest."""
+    """Return charts of parameters over time, the largest deviation in standard errors first."""
     charts = []
     for p in (p for leg in history.results[-1].legs for p in leg.parameters):
         entries = [result[p.id] for result in history.results]
@@ -299,7 +299,7 @@ def _charts(history: History) -> list[Markup]:
 
 
 def _draw(days: NDArray[np.datetime64], values: Array, stds: Array, p: Parameter, ax: Axes) -> None:
-    """Draw an individuals chart: values with their intervals, and the limits of each."""
+    """Draw an individuals chart: values with 95 % intervals, and the control limits of each."""
     scale, mean = per_si(p.unit, VALUES), np.average(values, weights=stds**-2.0)
     outside, half = np.abs(values - mean) > _LIMIT * stds, scale * _LIMIT * stds
     ax.fill_between(days, scale * mean - half, scale * mean + half, color=GROUND, alpha=0.5, lw=0)

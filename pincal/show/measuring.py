@@ -1,4 +1,4 @@
-"""What a session says and is told: lines in a terminal, posted by a page, from an instrument."""
+"""Input and output of a session: lines from a terminal, a page or an instrument, and replies."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pincal.words.faults import causes
 from pincal.words.numbers import amount, percent
 from pincal.words.wording import rendered
 
-_NUMBERED = 1e4  # σ from which a number of them says nothing
+_NUMBERED = 1e4  # σ; from here on the number means nothing and is not shown
 
 
 def set_points(session: Session, row: int) -> dict[str, float]:
-    """Return what to drive to at a row of the plan, readings and pose, in the sheet's units."""
+    """Return the planned readings and pose of a row by column, in the units of the sheet."""
     return {
         head.removeprefix(PLANNED): float(cells[row])
         for head, cells in session.sheet.items()
@@ -33,12 +33,12 @@ def set_points(session: Session, row: int) -> dict[str, float]:
 
 
 def verdict_on_row(checked: Checked) -> str:
-    """Return what is to be said of a row as it came; whether to measure it again."""
+    """Return a sentence on a row just measured: whether it agrees, or whether to repeat it."""
     row = f"row {checked.row + 1}"
     if checked.sigma is None:
         return f"{row} is recorded; nothing predicts it yet"
     if not checked.off:
-        return f"{row} is recorded: {checked.sigma:.1f} σ from what was predicted"
+        return f"{row} is recorded: {checked.sigma:.1f} σ from the prediction"
     far = "no pose of this machine belongs to it"
     if checked.sigma < _NUMBERED:
         far = f"{checked.sigma:.3g} σ off, most in the {checked.quantity}"
@@ -47,7 +47,7 @@ def verdict_on_row(checked: Checked) -> str:
 
 
 def progress(session: Session) -> list[str]:
-    """Return how far the session is: error to expect, what is enough, what is in the way."""
+    """Return the progress of a session: expected error, obstacles, and what is still missing."""
     error, accuracy = session.error, session.options.accuracy
     count = counted(len(session.measured), "pose")
     if error is None or not np.isfinite(error.position):
@@ -58,13 +58,13 @@ def progress(session: Session) -> list[str]:
         lines = [f"{count}: expected error {amount(error.position, 'm')}, {limit}{share}"]
     if session.result is not None and not session.result.explained:
         lines.append(
-            f"residuals are {session.result.excess:.1f} times as large as the noise given; say "
-            "what it is (--noise-position …), or look for what is wrong"
+            f"residuals are {session.result.excess:.1f} times as large as the noise given; correct "
+            "the noise (--noise-position …), or look for a fault"
         )
     if session.doubtful is not None:
         row, sigma = session.doubtful
         lines.append(
-            f"row {row + 1} is {sigma:.1f} σ off what all others say: undo it (u {row + 1})?"
+            f"row {row + 1} is {sigma:.1f} σ off the prediction by all others: undo (u {row + 1})?"
         )
     if session.enough:
         lines.append(f"enough: {amount(accuracy or 0.0, 'm')} reached")
@@ -76,10 +76,10 @@ def progress(session: Session) -> list[str]:
 
 
 def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str, str]:
-    """Return the cells of a line: JSON, groups of a pattern, or numbers in order.
+    """Parse a line into cells by column: JSON, named groups of a pattern, or numbers in order.
 
     Raises:
-        MeasurementError: a line that is none of these, or has another number of numbers.
+        MeasurementError: the line is none of these, or has a wrong count of numbers.
     """
     line = line.strip()
     if pattern is not None:
@@ -95,7 +95,7 @@ def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str,
         except ValueError as error:
             raise MeasurementError(f"{line!r} is no JSON: {error}") from error
     else:
-        parts = re.split(r"\s*[;\s]\s*", line)  # a comma may then be a decimal one
+        parts = re.split(r"\s*[;\s]\s*", line)  # a comma may then be a decimal point
         cells = [part.strip(",").replace(",", ".") for part in parts]
         cells = cells if len(parts) > 1 else line.split(",")
     for columns in (session.observed, session.columns):
@@ -108,10 +108,10 @@ def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str,
 
 
 def obeyed(session: Session, line: str, row: int, pattern: str | None = None) -> list[str]:
-    """Do what a line says at a row of the plan; return what is to be said then.
+    """Execute a line of input at a row of the plan, and return the reply.
 
     ``u`` undoes the last row, ``u 3`` row 3; ``k`` keeps the last; ``s`` skips the pose, ``r 12``
-    goes to pose 12 of the plan; all else was measured there.
+    goes to pose 12 of the plan; anything else is a measurement at the row.
     """
     match line.split():
         case ["u", *number] if all(map(str.isdecimal, number)) and len(number) < 2:
@@ -132,7 +132,7 @@ def obeyed(session: Session, line: str, row: int, pattern: str | None = None) ->
 
 
 def responding(session: Session, pattern: str | None, lock: Lock) -> Respond:
-    """Return what serves the page of a session; others take the lock to change it."""
+    """Return the handler of requests by the session's page; the lock guards the session."""
 
     def respond(path: str, query: Mapping[str, str], posted: str) -> tuple[str, str | bytes] | None:
         if path == "/":
@@ -150,20 +150,20 @@ def responding(session: Session, pattern: str | None, lock: Lock) -> Respond:
                 except (MeasurementError, FileError) as error:
                     trouble = str(error)
             elif posted:
-                trouble = "another window was quicker; this is what is there now. Enter it again"
+                trouble = "the session changed in another window; check its state and enter again"
             return "application/json", json.dumps({**state(session), "trouble": trouble})
 
     return respond
 
 
 def version(session: Session) -> str:
-    """Return what differs once anything was done in a session."""
+    """Return a text that changes with every action in a session."""
     offered, rows = session.candidates.offered.sum(), session.journal.rows
     return f"{len(rows)} {rows[-1:]} {session.questioned} {offered} {session.chosen}"
 
 
 def state(session: Session) -> dict[str, Any]:
-    """Return all that a page shows of a session."""
+    """Return the state of a session that its page shows, for JSON."""
     row, _ = session.next_pose()
     table = None if session.result is None else session.result.tables()[0]
     names = [session.sheet[name][row] for name in ("set", "pose") if name in session.sheet]

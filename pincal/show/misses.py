@@ -1,6 +1,6 @@
-"""How far a calibration misses: residuals of rows, and the platform's errors over the workspace.
+"""Errors of a calibration for charts, tables and answers, in SI units.
 
-All in SI units, as charts, tables and answers show them.
+These are the residuals of rows, of cameras, and the platform's errors over the workspace.
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ from pincal.words.numbers import percent
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
-_SAMPLES, _FEW_SAMPLES = 1000, 300  # of the workspace
-_ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
+_SAMPLES, _FEW_SAMPLES = 1000, 300  # sampled poses of the workspace
+_ACROSS = {2: 45, 3: 25}  # cells along a side of a map, by the dimension of space
 _MEASURED = "measured poses"
-_MENTIONED = 0.01  # share of the workspace outside the measured region, below which it is not said
+_MENTIONED = 0.01  # share of the workspace outside the measured region that is not mentioned
 
 
 class CameraMisses(NamedTuple):
-    """What a camera saw in all photos, and how far from there it is predicted, n points."""
+    """The n points that a camera saw in all photos, and their residuals."""
 
     camera: Camera
     points: NDArray[np.str_]
     """Names of points, shape (n,)."""
     seen: Array
-    """Right and down, shape (n, 2), [px]."""
+    """Seen image points, right and down, shape (n, 2), [px]."""
     missed: Array
-    """Predicted less seen, shape (n, 2), [px]."""
+    """Predicted minus seen image points, shape (n, 2), [px]."""
     standardised: Array
-    """The larger of both over its standard deviation, shape (n,); NaN where nothing checks it."""
+    """Larger standardised residual of u and v, shape (n,); NaN where nothing checks the point."""
     metres: Array
-    """What a pixel is there across the line of sight, shape (n,), [m/px]."""
+    """Length of a pixel at the point, across the line of sight, shape (n,), [m/px]."""
 
 
 def camera_misses(result: CalibrationResult) -> list[CameraMisses]:
-    """Return what cameras saw otherwise than predicted, of points seen in both coordinates."""
+    """Return residuals by camera, for points of which both image coordinates were seen."""
     by_name = {group.name: group for group in result.observed}
     observation = result.calibration.observation
     matrices, every = result.nominal.platform.matrices(result.poses), list[CameraMisses]()
@@ -78,10 +78,10 @@ def camera_misses(result: CalibrationResult) -> list[CameraMisses]:
 
 
 def hand_eye_misses(result: CalibrationResult) -> dict[str, float]:
-    """Return by how much hand–eye calibration misses held-out photos, [px] and [m].
+    """Return the RMS errors of hand–eye calibration at held-out photos, by unit (px, m).
 
-    Root mean squares over points, by unit, of the machine as drawn and the lenses as calibrated;
-    nothing without OpenCV, or where cameras see no board of known points.
+    It takes the machine as drawn and the lenses as calibrated. The result is empty without OpenCV,
+    or if no camera sees a board of known points.
     """
     data, missed = result.measurements, list[tuple[Array, Array]]()
     cameras = [d for d in result.options.setup.instruments if isinstance(d, Camera)]
@@ -107,7 +107,7 @@ def hand_eye_misses(result: CalibrationResult) -> dict[str, float]:
 
 
 def observed_groups(result: CalibrationResult) -> list[ResidualGroup]:
-    """Return residuals of what was measured of the platform, all that a camera saw as one."""
+    """Return residuals of the platform's measured quantities; a camera's columns are one group."""
     cameras = [device for device in result.options.setup.instruments if isinstance(device, Camera)]
     owners = {column: camera.name for camera in cameras for column in camera.columns}
     groups = dict[str, ResidualGroup]()
@@ -123,9 +123,9 @@ def observed_groups(result: CalibrationResult) -> list[ResidualGroup]:
 
 
 def noisy_residuals(result: CalibrationResult) -> list[ResidualGroup]:
-    """Return residuals that carry noise: of legs, of the platform if legs cannot miss, or both.
+    """Return residuals that carry noise: only the platform's if readings are exact.
 
-    Both where readings have noise: they share with the platform what is missed.
+    Noisy readings share the residuals with the platform, and both are returned.
     """
     if readings_exact(result):
         return observed_groups(result)
@@ -134,61 +134,61 @@ def noisy_residuals(result: CalibrationResult) -> list[ResidualGroup]:
 
 
 def readings_exact(result: CalibrationResult) -> bool:
-    """Return whether legs close by construction, so that only the platform can miss something."""
+    """Return whether legs close by construction, so that only the platform has residuals."""
     return bool(result.observed) and not any((leg.sigma > 0.0).any() for leg in result.legs)
 
 
 @dataclass(frozen=True)
 class WorkspaceErrors:
-    """Errors of the platform at poses; NaN where a mechanism does not reach one."""
+    """Errors of the platform at N poses; NaN where a mechanism does not reach a pose."""
 
     poses: Array
-    """Coordinates, shape (N, dof)."""
+    """Coordinates of the poses, shape (N, dof)."""
     before: Array
-    """Of the nominal model, zeros of motors as they were found, frames that are not known as they
-    fit it best, position [m] and orientation [rad], shape (N, 2)."""
+    """Errors of the nominal model in position [m] and orientation [rad], shape (N, 2), with the
+    identified zeros of motors and with best-fit frames where frames are unknown."""
     expected: PlatformError
-    """Of the identified one, at the same poses."""
+    """Expected errors of the identified model at the same poses."""
     inside: PlatformError
-    """Of those poses that lie in the measured region (see ``expected_error``)."""
+    """Expected errors at the poses in the measured region (see ``expected_error``)."""
     region: str = "the workspace"
-    """What the poses are of, in words."""
+    """Name of the region that the poses sample, for sentences."""
 
     @cached_property
     def share(self) -> float:
-        """Share of the poses that are reached which lies in the measured region."""
+        """Share of the reachable poses that lie in the measured region."""
         return float(self.expected.within.sum()) / max(self.expected.poses, 1)
 
     @property
     def where(self) -> str:
-        """Over which poses, those in the measured region, means are taken, for sentences."""
+        """Region over which means are taken, for sentences: ``over 80 % of the workspace``."""
         if self.share > 1.0 - _MENTIONED:
             return f"over {self.region}"
         return f"over {percent(self.share)} of {self.region}"
 
     def mean_before(self) -> tuple[float, float]:
-        """Return root mean squares of the nominal model's errors, [m] and [rad]."""
+        """Return the nominal model's RMS errors in the measured region, [m] and [rad]."""
         return root_mean_squares(self.before[self.expected.within])
 
     def mean_after(self) -> tuple[float, float]:
-        """Return root mean squares of the errors to expect, [m] and [rad]."""
+        """Return the expected RMS errors in the measured region, [m] and [rad]."""
         return root_mean_squares(self.inside.sizes)
 
     @property
     def determined(self) -> bool:
-        """Whether measurements say how far the calibrated platform is off, at any of the poses."""
+        """Whether the measurements determine the error of the calibrated platform at any pose."""
         return bool(self.expected.determined.any() and np.isfinite(self.mean_after()).all())
 
     @property
     def moved(self) -> bool:
-        """Whether parameters that were identified move the platform at all."""
+        """Whether the identified parameters move the platform at all."""
         return any((*self.mean_before(), *self.mean_after()))
 
 
 def workspace_errors(result: CalibrationResult, poses: Plan | None = None) -> WorkspaceErrors:
-    """Return the platform's errors at poses, or samples of the workspace that were measured about.
+    """Return the platform's errors at poses, by default at samples of the workspace.
 
-    At the measured configurations if there are none, or no workspace with the default margins.
+    Without a workspace, or samples in the measured region, the measured configurations are taken.
     """
     if poses is not None:
         return errors_at(result, poses, "the poses given")
@@ -204,7 +204,7 @@ def workspace_errors(result: CalibrationResult, poses: Plan | None = None) -> Wo
 def errors_at(
     result: CalibrationResult, planned: Plan | Array, region: str = "the workspace"
 ) -> WorkspaceErrors:
-    """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
+    """Return the platform's errors at a plan, or at poses of shape (N, dof)."""
     plan = as_plan(result.nominal, planned)
     expected, inside = errors_inside(result, plan)
     moved, units = apart(result, plan, result.begun, result.identified)
@@ -212,10 +212,10 @@ def errors_at(
 
 
 def effects(result: CalibrationResult) -> tuple[dict[str, float], str]:
-    """Return by how much each parameter's change moves the platform, and the unit.
+    """Return by how much the change of each determined parameter moves the platform, and the unit.
 
-    Root mean squares of the position, or the orientation where it has none, over the workspace, or
-    the measured poses where none was found; of parameters that are determined.
+    The values are RMS displacements of position (of orientation, for platforms without position)
+    over the workspace, or over the measured poses if no workspace was found.
     """
     try:
         plan = sample_configurations(result.nominal, _FEW_SAMPLES)
@@ -224,7 +224,7 @@ def effects(result: CalibrationResult) -> tuple[dict[str, float], str]:
     legs = legs_at(result.identified, plan)
     moved, units = seen_of(result.identified, legs.poses, legs.gain, result.frames_moved)
     part = moved[:, [unit == units[0] for unit in units]]
-    per_unit = np.sqrt(np.square(part).sum(axis=1).mean(axis=0))  # of each parameter
+    per_unit = np.sqrt(np.square(part).sum(axis=1).mean(axis=0))  # shape (n_params,)
     parameters = [p for leg in result.legs for p in leg.parameters]
     return {
         p.id: factor * abs(p.change)
@@ -234,19 +234,19 @@ def effects(result: CalibrationResult) -> tuple[dict[str, float], str]:
 
 
 def level_poses(result: CalibrationResult) -> tuple[Array, Array, float | None, Array, Mask]:
-    """Return x and y, (n,), [m], z, coordinates, (n, n, dof), and which are in the workspace.
+    """Return a grid of poses for maps, with rows of equal y.
 
-    For maps: rows of equal y, z in the middle of the workspace (None in a plane), the other
-    coordinates as at home.
+    These are x and y, each (n,), [m]; z at the middle of the workspace, None in a plane; the poses,
+    (n, n, dof), else as at home; and a mask, (n, n), of those in the workspace.
 
     Raises:
-        WorkspaceError: no workspace was found, or it fills no plane.
+        WorkspaceError: no workspace was found, or poses do not fill a plane.
     """
     nominal, platform = result.nominal, result.nominal.platform
     if nominal.by_readings:
-        raise WorkspaceError("no map: its poses follow from readings, and do not fill a plane")
+        raise WorkspaceError("no map: poses follow from readings, and do not fill a plane")
     if platform.coordinates[:2] != ("x", "y"):
-        raise WorkspaceError("no map: its platform does not move in x and y")
+        raise WorkspaceError("no map: the platform does not move in x and y")
     samples = sample_configurations(nominal, _SAMPLES).poses
     count, height = _ACROSS[platform.space], None
     x, y = np.linspace(samples.min(axis=0)[:2], samples.max(axis=0)[:2], count, axis=1)

@@ -1,6 +1,6 @@
-"""``pincal.picture``: a view's scene as a flat picture, for pages that nothing moves on.
+"""``pincal.picture``: a view's scene as a flat picture, for static pages.
 
-Mechanisms in a plane are seen from above, others from the side, in parallel projection: shapes with
+Planar mechanisms are seen from above, others from the side, in parallel projection. Shapes with
 dark outlines are painted from the farthest to the nearest.
 """
 
@@ -47,7 +47,7 @@ class Picture:
     scene: Scene
 
     def draw(self, axes: Axes) -> Axes:
-        """Draw into axes, best inside ``pincal.show.style.drawing()``."""
+        """Draw into axes, preferably inside ``pincal.show.style.drawing()``."""
         scene = self.scene
         V, (low, high) = scene.axes, self._extent
         ground = scene.ground()
@@ -74,7 +74,7 @@ class Picture:
 
     @property
     def _extent(self) -> Array:
-        """Least and largest of what is seen, right and up, shape (2, 2), [m]."""
+        """Lower and upper limits of the picture, right and up, shape (2, 2), [m]."""
         scene = self.scene
         tips = scene.body.platform[0] @ np.vstack((scene.body.axis * np.eye(3), np.ones(3)))
         points = np.concatenate((scene.points(), tips[:3].T)) @ scene.axes[:2].T
@@ -83,7 +83,7 @@ class Picture:
         return np.stack((low - margin, high + margin))
 
     def figure(self) -> Figure:
-        """Return a figure of its own."""
+        """Return the picture as a new figure."""
         width, height = np.ptp(self._extent, axis=0)
         inches = _LEGEND + np.clip(_WIDTH * height / width, *_HEIGHTS)
         with drawing():
@@ -98,7 +98,7 @@ class Picture:
 
         Raises:
             FileError: the name ends otherwise, or the file exists and ``force`` is not set, or
-                it cannot be written.
+                the file cannot be written.
         """
         return save_figure(self.figure(), path, force=force)
 
@@ -115,37 +115,37 @@ def picture(
 ) -> Picture:
     """Return a picture of a mechanism: ``save(path)``, ``figure()``, ``draw(axes)``.
 
-    What ``view`` shows, without a browser: mechanisms in a plane from above, others from the
+    It shows the scene of ``view`` without a browser: planar mechanisms from above, others from the
     side.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
-        poses: As for ``view``; home if not given. The mechanism is drawn at the first of them, all
-            others are faint lines, by set.
+        poses: Poses as for ``view``; home if not given. The mechanism is drawn at the first pose,
+            the others are faint lines, coloured by set.
         identified: The calibrated mechanism, drawn over the nominal one.
-        magnify: Factor on what differs between its parameters and the nominal ones; one at which
-            errors are seen and every pose assembles if not given.
+        magnify: Factor on the differences between identified and nominal parameters; if not given,
+            one that makes errors visible and lets the mechanism assemble at every pose.
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
-            is not one of this mechanism.
-        MeasurementError: no poses, too many or not whole; a factor that is not positive.
+        MechanismError: poses have a wrong shape or are not finite; ``identified`` is another
+            mechanism.
+        MeasurementError: there are no poses, too many or incomplete ones; or ``magnify`` <= 0.
     """
     mechanism = as_mechanism(mechanism)
     poses = home_of(mechanism) if poses is None else poses
     return Picture(scene(mechanism, poses, identified, magnify))
 
 
-_WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # of a picture; least and most of what is drawn, [inch]
+_WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # width of a picture, least and largest height, [inch]
 _LEGEND = 0.5  # height for the legend below, [inch]
-_LETTERS = 28  # of the longest name
-_LEG_NAME, _LEG_DISTANCES = 8.0, (11.0, 18.0, 26.0, 34.0)  # its size and places, [point]
-_LINE = 75  # letters of a legend's line
-_OVERLAP, _OUTSIDE = 300.0, 100.0  # of a name over another, or outside; in hidden points of lines
+_LETTERS = 28  # most letters of a name
+_LEG_NAME, _LEG_DISTANCES = 8.0, (11.0, 18.0, 26.0, 34.0)  # size and distances of names, [point]
+_LINE = 75  # letters in a line of the legend
+_OVERLAP, _OUTSIDE = 300.0, 100.0  # cost of a name over another, or outside, in hidden points
 
 
 def _ghosts(axes: Axes, scene: Scene) -> list[Line2D]:
-    """Draw all poses as lines from joint to joint, by set, and return their legend."""
+    """Draw all poses as faint lines from joint to joint, by set, and return their legend."""
     V = scene.axes[:2].T
     faint = float(np.clip(8 / len(scene.plan.poses), 0.12, 0.5))
     legend = []
@@ -164,52 +164,52 @@ def _dot(colour: str, label: str, marker: str = "o") -> Line2D:
 
 
 def shortened(name: str) -> str:
-    """Return a name, its middle left out where there is no room for it."""
+    """Return a name of at most ``_LETTERS`` letters; longer ones lose their middle."""
     return clean(name if len(name) <= _LETTERS else f"{name[: _LETTERS - 9]}…{name[-8:]}")
 
 
 class _Names:
-    """Names in axes whose limits are set, each where it hides least."""
+    """Writer of names into axes with fixed limits, each where it hides least."""
 
     def __init__(self, axes: Axes, links: Array) -> None:
-        """Begin with links that names should not hide, shape (n, 2, 2), right and up, [m]."""
+        """Set the links that names should not hide: end points, shape (n, 2, 2), [m]."""
         low, high = np.array((axes.get_xlim(), axes.get_ylim())).T
         figure: Any = axes.get_figure(root=True)
         paper = 72.0 * figure.get_size_inches() * axes.get_position().size
         self.axes = axes
         self._limits = low[1], high[1]
         self.point = float(np.max((high - low) / paper))
-        """What a point of the paper is in the picture, [m]; the legend takes some room."""
+        """Length of a typographic point in the picture, [m]; the legend takes some room."""
         self._boxes = np.zeros((0, 2, 2))
         self._hidden = np.linspace(links[:, 0], links[:, 1], 40).reshape(-1, 2)
 
     def half(self, text: str, size: float) -> Array:
-        """Return half the width and height of a name of a size in points, shape (2,), [m]."""
+        """Return half the width and height of a name, shape (2,), [m]; ``size`` in points."""
         return 0.5 * size * self.point * np.array((0.58 * (len(text) + 0.8), 1.4))
 
     def write(self, text: str, places: Array, size: float, **style: Any) -> None:
-        """Write a name at the first of some places, shape (n, 2), that hides least."""
+        """Write a name at the one of n places, shape (n, 2), [m], where it hides least."""
         half = self.half(text, size)
         low, high = places - half, places + half
         inside = np.abs(self._hidden - places[:, None]) < half + 0.3 * half[1]  # links are thick
         boxes = self._boxes
         over = (low[:, None] < boxes[:, 1]) & (boxes[:, 0] < high[:, None])
         cost = inside.all(axis=2).sum(axis=1) + _OVERLAP * over.all(axis=2).sum(axis=1)
-        bottom, top = self._limits  # what is beside them is in the picture all the same
+        bottom, top = self._limits  # names beside the axes are in the picture nevertheless
         outside = (low[:, 1] < bottom) | (high[:, 1] > top)
         best = int(np.argmin(cost + _OUTSIDE * outside + 0.4 * np.arange(len(places))))
-        room = 0.3 * size * self.point  # names that touch read as one
+        room = 0.3 * size * self.point  # names that touch would read as one name
         self._boxes = np.concatenate((boxes, [[low[best] - room, high[best] + room]]))
         x, y = places[best].tolist()
         self.axes.text(x, y, text, size=size, ha="center", va="center", zorder=9, **style)
 
 
 def _name_axes_and_legs(names: _Names, scene: Scene) -> None:
-    """Write letters beyond the ends of the base's axes, legs' names outwards of their feet."""
+    """Name the base's axes beyond their ends, and legs beside their feet, outwards."""
     V = scene.axes[:2]
     for letter, end in zip("xyz", scene.body.axis * V.T, strict=True):
         size = float(np.linalg.norm(end))
-        if size > 0.3 * scene.body.axis:  # else it is seen from its end
+        if size > 0.3 * scene.body.axis:  # else the axis points towards the viewer
             place = end * (1.0 + 4.5 * names.point / size)
             names.write(letter, place[None], size=7, style="normal")
     feet = np.array([leg.joints[0].placement.xyz for leg in scene.mechanism.legs]) @ V.T
@@ -223,22 +223,22 @@ def _name_axes_and_legs(names: _Names, scene: Scene) -> None:
         names.write(text, places.reshape(-1, 2), _LEG_NAME)
 
 
-_DARK, _EDGE = 0.55, 0.5  # brightness of an outline, of its shape's; its width, [point]
-_SHORT = 1e-4  # of a rod's radius: shorter than that it is not seen
+_DARK, _EDGE = 0.55, 0.5  # an outline's brightness over its shape's, and its width, [point]
+_SHORT = 1e-4  # length of a rod over its radius below which it is not drawn
 _TURNS = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
 _CIRCLE = np.stack((np.cos(_TURNS), np.sin(_TURNS)), axis=1)
 _CORNERS = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
 
 
 def paint(axes: Axes, shapes: list[tuple[Shape, Array]], V: Array, colour: str = "") -> None:
-    """Paint shapes, with ``T_base_part``, [m], in their colours, or in one that is seen through.
+    """Paint shapes at their ``T_base_part``, [m]; a given ``colour`` is translucent.
 
-    V is what points right, up and towards the viewer, shape (3, 3), rows in the base frame.
+    The rows of V, shape (3, 3), point right, up and towards the viewer, in the base frame.
     """
     polygons = []
     for shape, place in shapes:
         points = _points(shape, place @ shape.T_link_shape, V)
-        if len(points):  # sorted by the nearest point, but of plates, on which others stand
+        if len(points):  # sorted by the nearest point; plates by a farther one: parts stand on them
             depth = float(np.quantile(points @ V[2], 0.25 if shape.kind == "mesh" else 1.0))
             polygons.append((round(depth, 9), _hull(points @ V[:2].T), colour or shape.colour))
     polygons.sort(key=lambda polygon: polygon[0])
@@ -255,7 +255,7 @@ def paint(axes: Axes, shapes: list[tuple[Shape, Array]], V: Array, colour: str =
 
 
 def _points(shape: Shape, T: Array, V: Array) -> Array:
-    """Return points whose hull is a shape as seen, shape (n, 3), [m]; none of a rod too short."""
+    """Return points whose hull is a shape's outline, (n, 3), [m]; none for a rod too short."""
     if shape.kind == "sphere":
         return T[:3, 3] + shape.size[0] * np.concatenate((_CIRCLE @ V[:2], V[2:]))
     points = shape.points if shape.points is not None else _CORNERS
@@ -263,7 +263,7 @@ def _points(shape: Shape, T: Array, V: Array) -> Array:
         points = _CORNERS * shape.size
     elif shape.kind == "cylinder":
         radius, length = shape.size
-        if length * np.linalg.norm(T[:3, 2]) < _SHORT * radius:  # it stretches with its joint
+        if length * np.linalg.norm(T[:3, 2]) < _SHORT * radius:  # T scales a rod along its joint
             return np.zeros((0, 3))
         ends = [np.insert(radius * _CIRCLE, 2, end, axis=1) for end in (-length / 2, length / 2)]
         points = np.concatenate(ends)
@@ -271,6 +271,6 @@ def _points(shape: Shape, T: Array, V: Array) -> Array:
 
 
 def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points in a plane, shape (n, 2), in order."""
+    """Return the corners of the convex hull of planar points, shape (n, 2), in order."""
     corners = points[ConvexHull(points).vertices]
     return np.roll(corners, -int(np.lexsort(corners.round(9).T)[0]), axis=0)  # the lowest first

@@ -1,4 +1,4 @@
-"""Pages to read, print and keep: ``result.report()``, and what notebooks and print show."""
+"""Pages to read, print and keep: ``result.report()``, and the output of print and notebooks."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class Page:
     """A page, made when it is first asked for."""
 
     sandbox: ClassVar[str] = ""
-    """What its scripts may do in a notebook."""
+    """Permissions of its scripts in a notebook, as an iframe's ``sandbox``."""
     height: ClassVar[str] = "800px"
-    """Of the frame in a notebook."""
+    """Height of its frame in a notebook."""
 
     def html(self) -> str:
-        """Return the page, which needs no server, no other file and no network."""
+        """Return the page as HTML that needs no server, no other file and no network."""
         return self._page
 
     @cached_property
@@ -72,24 +72,24 @@ class Page:
 
 @dataclass(eq=False)
 class Report(Page):
-    """A report: a page to save, or to see in a notebook."""
+    """The report of a calibration: a page to save, or to see in a notebook."""
 
     result: CalibrationResult
     errors: WorkspaceErrors | None
-    """The platform's over the workspace; None if the fit did not converge."""
+    """Errors of the platform over the workspace; None if the fit did not converge."""
     command: str = ""
-    """As it was typed; empty if it was not."""
+    """Command line that made the calibration; empty for Python."""
     files: tuple[tuple[str, str], ...] = ()
     """Files that were read, and their SHA-256."""
     steps: Sequence[str] = ()
-    """Commands that come next; of no known file if none are given."""
+    """Commands to run next; if empty, commands with placeholders for files are shown."""
     notes: Sequence[str] = ()
-    """What was not done, and why."""
+    """Sentences that say what was not done, and why."""
     date: str = ""
 
     @property
     def lines(self) -> list[str | Table]:
-        """The verdict, the errors and what next, as ``pincal calibrate`` prints them."""
+        """Verdict, errors, warnings and next command, as ``pincal calibrate`` prints them."""
         result, errors = self.result, self.errors
         warnings = [f"warning: {text}" for text in answers.warnings(result)]
         following = answers.next_line(self.steps or answers.next_steps(result, errors))
@@ -126,26 +126,26 @@ def report(
     date: str | None = None,
     workspace: Any = None,
 ) -> Report:
-    """Return a report of a calibration: ``html()``, ``save(path)``, or shown by a notebook.
+    """Return a report of a calibration, with ``html()`` and ``save(path)``; notebooks show it.
 
     Args:
         result: The calibration.
-        command: What was typed, to say how to do it again.
+        command: Command line that reproduces it.
         files: Files that were read; the report holds their SHA-256.
-        date: When it was made; now if not given. Nothing else differs from one time to the next.
+        date: Date of the report; now if not given. Nothing else differs between two reports.
         workspace: Poses, a plan or its file, over which errors are stated; samples of the whole
             workspace if not given.
 
     Raises:
-        FileError: a file that cannot be read.
-        MeasurementError: poses of a wrong shape.
+        FileError: a file cannot be read.
+        MeasurementError: poses have a wrong shape.
     """
     if date is None:
         date = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
     hashes = tuple(
         (path.name, sha256(read_bytes(path, LARGEST_FILE["table"], FileError)).hexdigest())
         for path in map(Path, files)
-        if not path.is_fifo()  # a pipe is read once
+        if not path.is_fifo()  # a pipe can only be read once
     )
     poses = None if workspace is None else read_poses(workspace, result.nominal)
     errors = workspace_errors(result, poses) if result.converged else None
@@ -153,10 +153,10 @@ def report(
 
 
 def _sections(report: Report) -> list[tuple[Any, ...]]:
-    """Return names, titles and parts of sections, those of numbers only where the fit converged.
+    """Return name, title and parts of each section; results only if the fit converged.
 
-    Parts are paragraphs, lists of lines, facts by name, tables and figures; those that are empty
-    have nothing to show.
+    Parts are paragraphs, lists of lines, facts by name, tables and figures; empty parts are not
+    shown.
     """
     result, errors = report.result, report.errors
     measured = ("measured", "What was measured, and how well", _poses(result), _measured(result))
@@ -202,7 +202,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
 
 
 def _chart(result: CalibrationResult, name: str) -> str:
-    """Return a chart with its docstring as a caption, or why there is none."""
+    """Return a chart with its docstring as the caption, or the reason why there is none."""
     draw, height = getattr(result.plot, name), 3.4 if name == "images" else 4.2  # [inch]
     text, _, _ = str(getdoc(draw)).partition("\n\nRaises:")
     try:
@@ -212,7 +212,7 @@ def _chart(result: CalibrationResult, name: str) -> str:
 
 
 def _poses(result: CalibrationResult) -> Markup | None:
-    """Return the mechanism at the measured poses; None where no pose is known as a whole."""
+    """Return a figure of the mechanism at the measured poses; None if no pose is complete."""
     data, poses = result.measurements, result.poses
     rows = np.flatnonzero(np.isfinite(poses).all(axis=1))
     if not len(rows):
@@ -223,7 +223,7 @@ def _poses(result: CalibrationResult) -> Markup | None:
 
 
 def _quantities(result: CalibrationResult) -> list[str]:
-    """Return what was measured of the platform, with how often, and what each camera saw."""
+    """Return the platform's measured quantities with counts of rows, photos and points."""
     data, setup = result.measurements, result.options.setup
     columns = dict(zip(result.nominal.platform.coordinates, data.poses.T, strict=True))
     columns, seen_by = columns | dict(data.extra), list[str]()
@@ -258,11 +258,11 @@ def _measured(result: CalibrationResult) -> dict[str, str]:
     return facts
 
 
-# What mechanisms and results show in print and in notebooks
+# Mechanisms and results in print and in notebooks
 
 
 def mechanism_lines(mechanism: Mechanism) -> list[str]:
-    """Return what platform and legs are, in lines."""
+    """Return lines that describe the platform and each leg."""
     platform = mechanism.platform
     coordinates = zip(platform.coordinates, platform.home, platform.units, strict=True)
     home = (f"{name} {round(value, 9) + 0.0:.6g} {unit}" for name, value, unit in coordinates)
@@ -276,14 +276,14 @@ def mechanism_lines(mechanism: Mechanism) -> list[str]:
 
 
 def mechanism_text(mechanism: Mechanism) -> str:
-    """Return a mechanism as a page of text: platform, legs, nominal parameters."""
+    """Return a mechanism as text: platform, legs, nominal parameters."""
     title = ": ".join(filter(None, (mechanism.name, mechanism.description)))
     table = str(tables.nominal_table(mechanism))
     return "\n".join([title, *mechanism_lines(mechanism), "", table])
 
 
 def mechanism_html(mechanism: Mechanism) -> str:
-    """Return a mechanism: a picture and its nominal parameters."""
+    """Return a mechanism as HTML: a picture and its nominal parameters."""
     drawn = page_figure("mechanism", picture(mechanism).draw, f"{mechanism.name} at home")
     coordinates = ", ".join(mechanism.platform.coordinates)
     title = f"{mechanism.name}: {len(mechanism.legs)} legs, {coordinates}"
@@ -292,6 +292,6 @@ def mechanism_html(mechanism: Mechanism) -> str:
 
 
 def result_html(result: CalibrationResult) -> str:
-    """Return a calibration: the verdict, errors, what next, and its tables."""
+    """Return a calibration as HTML: verdict, errors, next command, and its tables."""
     parts = [*result.report().lines, *(result.tables() if result.converged else ())]
     return rendered("notebook.html", title="", parts=parts)

@@ -1,7 +1,7 @@
-"""How drawings look: colours, markers, sizes; figures as files and as parts of pages.
+"""Style of charts, pictures and pages: colours, markers, sizes; figures as files or in pages.
 
-One place for charts, pictures and pages. A figure is drawn and written under one set of
-matplotlib's parameters, whole or not at all, the same bytes for the same.
+Figures are drawn and written with one set of matplotlib's parameters, files whole or not at all;
+equal figures give equal bytes.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from pincal.errors import FileError
 from pincal.files.output import writing
 from pincal.words.wording import rendered
 
-#: Of legs, and of sets of poses that serve them; all colours here are held apart for people who
-#: lack a kind of cone by tests/test_style.py.
+#: Colours of legs, and of sets of poses that serve them. tests/test_style.py checks that all
+#: colours here are distinct for people with colour blindness.
 LEGS = ("#07a75a", "#0e11a3", "#ac5f71", "#7e7dfe", "#610f0a", "#1a5c4c", "#703e68", "#9f1042")
 MARKERS = ("o", "^", "s", "D", "v", "P", "X")
-#: What drives: motors, cylinders, winches.
+#: Drives: motors, cylinders, winches.
 ACTIVE = "#d95e03"
-#: Before and after: what nominal parameters say, and what identified ones do.
+#: Results of nominal parameters, and of identified parameters.
 NOMINAL, IDENTIFIED = "#909090", "#4402fc"
 #: Rows that do not fit.
 OUTLIER = "#c8091c"
 GROUND = "#d4d4d4"
-#: Lengths, angles, axes and their names in drawings; poses for every leg.
+#: Lengths, angles, axes and their names in drawings, and poses for every leg.
 DIMENSION = EVERY = "#222222"
-#: Each colour as it is on a dark ground.
+#: Replacement of each colour on a dark ground.
 DARK = {
     "#07a75a": "#fdfd0c",
     "#0e11a3": "#b1b7fd",
@@ -54,11 +54,11 @@ DARK = {
     GROUND: "#3c4148",
     DIMENSION: "#e8e8e8",
 }
-#: Grounds of pages and drawings, and text on them.
+#: Backgrounds of pages, light and dark, and colours of text on them.
 PAPER, INK = ("#ffffff", "#16191d"), ("#222222", "#e8e8e8")
 #: Widths of figures in one column and across two, [mm].
 COLUMN, PAGE_WIDTH = 80.0, 170.0
-RASTER_FROM = 1500  # points from which they are drawn as pixels: a vector picture stays small
+RASTER_FROM = 1500  # points; more are drawn as pixels, so that a vector picture stays small
 
 
 def leg_colour(index: int) -> str:
@@ -69,7 +69,7 @@ def leg_colour(index: int) -> str:
 def page_figure(
     name: str, draw: Callable[[Axes], object], caption: str, height: float = 5.0
 ) -> Markup:
-    """Return a figure across a page, so many inches high, with its caption, as part of the page."""
+    """Return a figure as HTML across a page, with a caption; ``height`` in inches."""
     with drawing():
         figure = Figure((PAGE_WIDTH / 25.4, height), layout="constrained")
         draw(figure.subplots())
@@ -77,13 +77,13 @@ def page_figure(
     return Markup(rendered("figure.html", name=name, svg=svg, caption=caption))
 
 
-#: What each format would say about its making.
+#: Metadata by format that would make the bytes depend on date and software.
 _METADATA = {"svg": ("Date", "Creator"), "png": ("Software",), "pdf": ("CreationDate", "Creator")}
 _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "pincal",
-    "svg.fonttype": "none",  # text stays text: small, searchable, in any letters
+    "svg.fonttype": "none",  # text stays text: small, searchable, in any script
     "font.sans-serif": ["DejaVu Sans", "Verdana"],
-    "text.parse_math": False,  # a $ in a name is a $
+    "text.parse_math": False,  # a $ in a name stays a $
     "axes.formatter.use_mathtext": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -100,17 +100,17 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """Draw figures for pages inside, whatever the user's own style is."""
+    """Apply pincal's style to figures drawn inside, whatever the user's own style is."""
     with mpl.rc_context(), warnings.catch_warnings():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
-        # letters that matplotlib's font lacks are the browser's to draw
+        # the browser draws letters that matplotlib's font lacks
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
         yield
 
 
 def picture_path(path: str | Path) -> Path:
-    """Return the path of a picture; raise a FileError if its name does not end as one's does."""
+    """Return a picture's path; raise a FileError unless it ends in .svg, .png or .pdf."""
     path = Path(path)
     if path.suffix[1:].lower() not in _METADATA:
         raise FileError(f"{path}: expected a name in .svg, .png or .pdf for a picture")
@@ -120,7 +120,7 @@ def picture_path(path: str | Path) -> Path:
 def save_figure(
     drawn: Figure, path: str | Path, *, force: bool = False, whole: bool = False
 ) -> Path:
-    """Write a figure in the format of its name, whole or closely cut, and return its path.
+    """Write a figure in the format of its name, cropped unless ``whole``, and return the path.
 
     Raises:
         FileError: the name ends otherwise, the file exists and ``force`` is not set, or it
@@ -133,7 +133,7 @@ def save_figure(
 
 
 def figure_bytes(drawn: Figure, kind: str, *, whole: bool = False) -> bytes:
-    """Return a figure as svg, png or pdf; names and dates of its making are left out."""
+    """Return a figure as svg, png or pdf, without date and software, so that bytes repeat."""
     buffer = io.BytesIO()
     closely: dict[str, Any] = {} if whole else {"bbox_inches": "tight", "pad_inches": 0.05}
     with drawing():
@@ -142,4 +142,4 @@ def figure_bytes(drawn: Figure, kind: str, *, whole: bool = False) -> bytes:
         )
     if kind != "svg":
         return buffer.getvalue()
-    return re.sub(rb"(?<= )(-?\d+\.\d\d)\d+\b", rb"\1", buffer.getvalue())  # of a point
+    return re.sub(rb"(?<= )(-?\d+\.\d\d)\d+\b", rb"\1", buffer.getvalue())  # to 0.01 point

@@ -1,4 +1,4 @@
-"""All tables that people see, in the units in which they read them: columns, rows, a caption."""
+"""All tables of the output, in displayed units."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from pincal.workspace.region import Workspace
 
 
 def nominal_table(mechanism: Mechanism) -> Table:
-    """Return a mechanism's parameters, one column a leg, or one row where legs are more."""
+    """Return a mechanism's parameters, one column per leg; one row per leg if legs are more."""
     names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
     grid: list[list[Value]] = [["parameter", *mechanism.leg_names, "unit"]]
     for name in names:
@@ -50,7 +50,7 @@ def nominal_table(mechanism: Mechanism) -> Table:
 
 
 def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
-    """Return a group's elements, where they carry the legs, and what breaks others."""
+    """Return a group's elements with their permutation of legs, and why others are no symmetry."""
     names = group.mechanism.leg_names
     lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
     lines += [f"no symmetry: {text}" for text in no_symmetries(group.breaks)]
@@ -76,7 +76,7 @@ _GOALS = {
 
 
 def selection_table(selection: Selection, name: str = "") -> Table:
-    """Return what a selection gives each leg, or how good configurations of a machine are."""
+    """Return the quality of a selection: by leg, or of whole configurations of a machine."""
     if (rank := selection.rank) is None:
         return Table(
             f"{selection.count} poses, {selection.protocol} selection from "
@@ -132,7 +132,7 @@ def standard_errors(forecast: Forecast) -> Table:
 
 
 def forecast_text(forecast: Forecast) -> str:
-    """Return the standard errors of a forecast as text, and what is not determined."""
+    """Return the standard errors of a forecast as text, and the undetermined parameters."""
     lost = "" if forecast.rank.complete else f"not determined apart: {forecast.rank.describe()}"
     return f"{standard_errors(forecast)}\n{lost}"
 
@@ -141,10 +141,10 @@ def forecast_text(forecast: Forecast) -> str:
 
 
 def workspace_table(workspace: Workspace) -> Table:
-    """Return what a workspace is: how large, in how many orientations, by which symmetry."""
+    """Return the facts of a workspace: size, positions, orientations, margins, symmetry."""
     positions, test = workspace.asked, workspace.test
     name = {1: "length", 2: "area", 3: "volume"}[positions.dimension or 1]
-    separate = f"; {workspace.apart:,} of them apart from home's" if workspace.apart else ""
+    separate = f"; {workspace.apart:,} not connected to home" if workspace.apart else ""
     type2 = test.least.least_type2(test.mechanism)
     sides = "both sides of type 2" if type2 == -np.inf else f"type 2 ≥ {type2:.3g}"
     every = "in every one of" if test.every else "in any of"
@@ -170,15 +170,15 @@ def workspace_table(workspace: Workspace) -> Table:
 
 # Calibrations
 
-_MOST_OUTLIERS = 50  # that are listed
-_SEEN = 1e-6  # of the largest effect, below which a parameter has none
+_MOST_OUTLIERS = 50  # outliers that are listed
+_SEEN = 1e-6  # share of the largest effect, below which a parameter counts as without effect
 ERRORS = {"m": "position", "rad": "orientation", "px": "image"}
 _CHOSEN = ". Values and ± depend on what was fixed by choice; errors of the platform do not"
 _HEADS = ("nominal", "identified", "± 95 %", "unit")
 
 
 def calibration_tables(result: CalibrationResult) -> list[Table]:
-    """Return all tables of a calibration that a terminal shows."""
+    """Return all tables of a calibration for the terminal."""
     outside = [outside_table(result)] if result.external else []
     outliers = [outliers_table(result)] if result.outliers and result.loss != "none" else []
     cameras = [table] if (table := cameras_table(result)) else []
@@ -186,10 +186,10 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
 
 
 def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> list[Table]:
-    """Return the platform's errors, if any are known: nominal, calibrated, and at poses held out.
+    """Return a table of the platform's errors: nominal, calibrated, at held-out poses; [] if none.
 
-    Noise is a part of the last, and of their limit; they stand for the calibrated ones where no
-    limit is stated.
+    Errors at held-out poses, and their limit, contain the noise of measurements; they replace the
+    calibrated errors where no limit is stated.
     """
     missed, region, rows = held_out_errors(result), "", dict[str, dict[str, str]]()
     if result.explained and errors.determined and errors.moved:
@@ -213,7 +213,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> list[T
 
 
 def _held_out_row(result: CalibrationResult) -> tuple[str, dict[str, str]]:
-    """Return which poses were held out, of points or axes alone if so, and by unit their errors."""
+    """Return the head of the row of held-out poses, and their errors by unit."""
     assert result.validation is not None
     targets = result.validation.targets
     measured, every = _measured_parts(result)
@@ -229,7 +229,7 @@ def _held_out_row(result: CalibrationResult) -> tuple[str, dict[str, str]]:
 
 
 def _measured_parts(result: CalibrationResult) -> tuple[list[str], bool]:
-    """Return which points, or axes of points, were measured, and whether all were."""
+    """Return the names of the measured points, or axes of points, and whether all were measured."""
     positions = result.options.setup.positions(result.nominal.platform)
     observed = {group.name for group in result.observed}
     seen = {target: [n for n in names if n in observed] for target, names in positions.items()}
@@ -240,14 +240,14 @@ def _measured_parts(result: CalibrationResult) -> tuple[list[str], bool]:
 
 
 def held_out_errors(result: CalibrationResult) -> dict[str, float]:
-    """Return by how much held-out targets are missed, by unit; nothing if a fit misses its own."""
+    """Return errors of held-out targets by unit; empty if the fit misses even its own rows."""
     if result.validation is None or result.validation.fit > MISSES:
         return {}
     return {unit: held_out for unit, (_, held_out) in result.validation.missed.items()}
 
 
 def parameters_table(result: CalibrationResult) -> Table:
-    """Return identified parameters with 95 % intervals, those that move the platform most first."""
+    """Return identified parameters with 95 % intervals, by effect on the platform."""
     moved, unit = effects(result)
     least = _SEEN * max(moved.values(), default=0.0)
     ids = sorted((id_ for id_ in moved if moved[id_] > least), key=lambda id_: -moved[id_])
@@ -284,13 +284,13 @@ def outside_table(result: CalibrationResult) -> Table:
         ["unknown", "start", *_HEADS[1:]],
         [(p.id, *_values(p)) for p in result.external],
         "tracker: pose of the base in the frame of the measurements (rx, ry, rz: rotation vector); "
-        "others: points on the platform, or touched; start: where the search began, aligned with "
+        "others: points on the platform, or touched; start: initial values, from an alignment with "
         f"the nominal machine{_CHOSEN * bool(result.gauge)}",
     )
 
 
 def residuals_table(result: CalibrationResult) -> Table:
-    """Return residuals of legs, if these can miss anything, and of what was measured otherwise."""
+    """Return RMS residuals of legs, unless readings are exact, and of the measured platform."""
     exact = readings_exact(result)
     legs, ranks = ([], []) if exact else (result.legs, ["rank", "condition:.3g"])
     rows = [
@@ -298,7 +298,7 @@ def residuals_table(result: CalibrationResult) -> Table:
         for leg in legs
     ]
     rows += [(*_sizes(group), *(None for _ in ranks)) for group in observed_groups(result)]
-    caption = "σ: of the noise alone; condition: of the identification Jacobian, white and scaled"
+    caption = "σ: noise alone; condition: of the whitened and scaled identification Jacobian"
     if exact:
         caption = "Readings are exact: legs close by construction, and residuals are the platform's"
     heads = ["of", "rows", "rms before", "rms after", "σ", "unit", *ranks]
@@ -313,7 +313,7 @@ def _sizes(group: ResidualGroup) -> tuple[Value, ...]:
 
 
 def cameras_table(result: CalibrationResult) -> Table | None:
-    """Return how far points are seen from where they are predicted, those missed most first."""
+    """Return residuals of camera points, the largest first; None if no camera measured."""
     rows = list[list[Value]]()
     for camera, points, _, missed, _, metres in camera_misses(result):
         sizes = np.linalg.norm(missed, axis=1)
@@ -330,16 +330,16 @@ def cameras_table(result: CalibrationResult) -> Table | None:
     if not rows:
         return None
     return Table(
-        "Points as cameras saw them, from where they are predicted",
+        "Residuals of points seen by cameras",
         ["camera", "point", "seen", *heads],
         rows,
-        f"lengths: across the line of sight, at the point's distance; of each camera its {NAMED} "
-        "points that are missed most",
+        f"lengths: across the line of sight, at the point's distance; for each camera the {NAMED} "
+        "points with the largest residuals",
     )
 
 
 def outliers_table(result: CalibrationResult) -> Table:
-    """Return the worst of the rows that do not fit."""
+    """Return the rows that do not fit, the worst first."""
     omitted = len(result.outliers) - _MOST_OUTLIERS
     return Table(
         f"Rows that do not fit, the worst first (robust loss: {result.loss})",
@@ -357,13 +357,13 @@ def outliers_table(result: CalibrationResult) -> Table:
     )
 
 
-# What explains a calibration that does not fit
+# Explanations of calibrations that do not fit
 
 
 def screen_table(explanation: Explanation) -> Table:
-    """Return what was tried, the least probable by chance first."""
+    """Return the terms tried, the most significant first."""
     candidates, omitted = explanation.candidates, len(explanation.candidates) - NAMED
-    caption = "amplitude: as one step of the fit would find it, in the scale of the term"
+    caption = "amplitude: estimated by one step of the fit, in the scale of the term"
     caption += f"; {omitted} more are less clear" * (omitted > 0)
     return Table(
         f"{explanation.result.nominal.name}: what geometry does not explain",
@@ -377,9 +377,9 @@ def screen_table(explanation: Explanation) -> Table:
 
 
 def _amplitudes(candidate: Candidate) -> tuple[Value, ...]:
-    """Return the clear amplitudes of a candidate, its share of χ², F, and its chance."""
+    """Return a candidate's significant amplitudes, its share of χ², F, and its p-value."""
     if not candidate.rank:
-        return Cell(None, "taken up by geometry"), None, None, None
+        return Cell(None, "absorbed by geometry"), None, None, None
     single_leg = len({id_.partition(".")[0] for id_ in candidate.names}) == 1
     unit, parts = candidate.unit, []
     for id_, size, std in zip(candidate.names, candidate.values, candidate.std, strict=True):
@@ -391,7 +391,7 @@ def _amplitudes(candidate: Candidate) -> tuple[Value, ...]:
 
 
 def models_table(explanation: Explanation) -> Table:
-    """Return the models compared on rows held out, the one that was chosen marked."""
+    """Return the models compared on held-out rows, with a mark at the chosen one."""
     sizes = {
         name: unit
         for name, unit in (("position", "m"), ("orientation", "rad"))
@@ -412,8 +412,8 @@ def models_table(explanation: Explanation) -> Table:
         for index, model in enumerate(explanation.models)
     ]
     return Table(
-        "Models on rows held out",
+        "Models on held-out rows",
         (*heads, *misses),
         rows,
-        "chance: when the term was added; free: parameters; ±: against the best",
+        "chance: when the term was added; free: number of parameters; ±: against the best",
     )

@@ -1,1 +1,1 @@
-"""How things are said: sentences of findings, numbers with their ±, and tables."""
+"""Wording of output: sentences for findings, numbers with their ±, and tables."""

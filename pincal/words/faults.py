@@ -1,6 +1,6 @@
-"""Sentences of measurements that cannot be right, and of hypotheses that would explain them.
+"""Sentences for faulty measurements, and for hypotheses that would explain the faults.
 
-A sentence begins with its cause; hypotheses that explain measurements alike are one sentence.
+Sentences begin with the cause; hypotheses that explain measurements equally well share one.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from pincal.words.wording import Wording, filled
 
 _error = partial(Wording, severity="error")
 _BY_PHOTOS = (
-    ": corrected for that, the machine as drawn misses points by {missed|amount('m')} (median), as "
-    "they are by {given|amount('m')}"
+    ": corrected for that, the machine as drawn misses the points by {missed|amount('m')} (median) "
+    "instead of {given|amount('m')}"
 )
 FAULTS: dict[str, Wording] = {
     "readings-still": _error(
@@ -34,18 +34,18 @@ FAULTS: dict[str, Wording] = {
         "readings and poses fit if these legs bend the other way than at home in mechanism.yaml: "
         "{% for leg, passive, bent, total in legs %}{', ' if not loop.first}{leg} "
         "({passive|join(' and ')}, in {bent} of {total} rows){% endfor %}",
-        "Correct 'home' there, or measure in its working mode",
+        "Correct 'home', or measure in the working mode of 'home'",
     ),
     "not-this-mechanism": _error(
         "{leg}: the measurements miss the nominal mechanism by {(100 * gap)|f(1)} % of a leg's "
         "length (median), and no single fault in units, signs, order, zeros or frame explains it",
-        "Check these, and that this is the right mechanism; if its dimensions are known only "
-        "roughly, add --rough",
+        "Check these, and that this is the right mechanism; if its dimensions are only roughly "
+        "known, add --rough",
     ),
     "readings-do-not-follow": _error(
         "{leg}: the readings do not follow the poses (mechanisms near the nominal one miss them by "
-        "{(100 * left)|g(2)} % of the leg's length, of a stroke of {(100 * stroke)|g(2)} %)",
-        "Check their order and signs, the signs and frame of the poses, and the mechanism",
+        "{(100 * left)|g(2)} % of the leg's length; the stroke is {(100 * stroke)|g(2)} %)",
+        "Check the order and signs of readings, the signs and frame of poses, and the mechanism",
     ),
     "rows-copied": _error(
         "data rows {first[0] + 1} and {first[1] + 1} are identical"
@@ -63,35 +63,35 @@ FAULTS: dict[str, Wording] = {
         "data row {worst + 1} misses the nominal mechanism by {times|g} times the median"
         "{% if rows|length > 1 %}, {(rows|length - 1)|counted('more row')} by over 10 times"
         "{% endif %}",
-        "Check for a slip there first, or leave such rows out (--loss reject)",
+        "Check that row for a typing error first, or leave such rows out (--loss reject)",
     ),
     "photos-shifted": _error(
         "the photos are {shift|abs|counted('row')} {'above' if shift > 0 else 'below'} their "
         f"readings{_BY_PHOTOS}",
-        "Correct the rows of corners, or their order: a photo is missing, or one too many",
+        "Correct the rows of the corners, or their order: a photo is missing or superfluous",
     ),
     "photos-turned": _error(
         f"the photos are turned by {{turn}}°{_BY_PHOTOS}",
-        "Detect points in photos as the camera took them: some program turned them by their EXIF",
+        "Detect points in the camera's original photos: a program turned these by their EXIF data",
     ),
     "board-mirrored": _error(
         f"board '{{board}}' is a mirror image of what it should be{_BY_PHOTOS}",
         "Print it again, or mirror x of its points; do not mirror photos",
     ),
     "board-behind": Wording(
-        "board '{board}' is seen from behind: it, or its points in the setup, are mirrored, which "
-        "does not change the fit of a flat board",
+        "board '{board}' is seen from behind: the print or its points in the setup are mirrored, "
+        "which does not change the fit of a flat board",
         "Print it again, or mirror x of its points; do not mirror photos",
     ),
     "boards-exchanged": _error(
-        f"boards '{{boards[0]}}' and '{{boards[1]}}' are confused{_BY_PHOTOS}",
-        "Exchange them in the setup",
+        f"boards '{{boards[0]}}' and '{{boards[1]}}' are swapped{_BY_PHOTOS}",
+        "Swap them in the setup",
     ),
     "board-scale": Wording(
-        "by the machine as drawn board '{board}' is {(100 * scale - 100)|abs|g} % "
-        "{'larger' if scale > 1 else 'smaller'} than said"
+        "judged by the machine as drawn, board '{board}' is {(100 * scale - 100)|abs|g} % "
+        "{'larger' if scale > 1 else 'smaller'} than the setup says"
         f"{{' (an inch for 25 mm?)' if (scale - 1.016)|abs < 0.002}}{_BY_PHOTOS}",
-        "Measure its bar and write that into its scale: all lengths follow it",
+        "Measure its bar and set the board's scale accordingly: all lengths depend on it",
     ),
 }
 _READINGS = "the readings{' of ' ~ legs|join(', ') if legs}"
@@ -169,7 +169,7 @@ HYPOTHESES: dict[str, Wording] = {
 
 
 _MISSED = (
-    ": corrected for that, measurements fit the mechanism to {left|percent} of a "
+    ": corrected for that, the measurements fit the mechanism to {left|percent} of a "
     "leg's length (median); as they are, {% if other_side > 0.5 %}{other_side|percent} of the "
     "poses lie across a singularity from home{% elif given is none %}readings and poses do not fit "
     "at all{% else %}they miss it by {given|percent}{% endif %}"
@@ -177,12 +177,12 @@ _MISSED = (
 
 
 def causes(findings: Sequence[Finding]) -> str:
-    """Return hypotheses that explain measurements alike, as parts of a sentence."""
+    """Return hypotheses that explain the measurements equally well, as parts of a sentence."""
     return ", or ".join(filled(HYPOTHESES[finding.code].says, finding) for finding in findings)
 
 
 def explanation(findings: Sequence[Finding]) -> str:
-    """Return one sentence for hypotheses that explain measurements alike, and their remedies."""
+    """Return one sentence for equally good hypotheses, followed by their remedies."""
     codes = [finding.code for finding in findings]
     codes += ["unknown-frame" for finding in findings if finding.values["unknown_frame"]]
     remedies = "; or: ".join(dict.fromkeys(HYPOTHESES[code].remedy for code in codes))

@@ -1,4 +1,4 @@
-"""Findings and their sentences, by code and values, which ``docs/errors.md`` explains."""
+"""Findings and their sentences, by code; ``docs/errors.md`` explains each code."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ FINDINGS: dict[str, Wording] = {
         "Correct the noise if it is known to be smaller",
     ),
     "noise-in-other-proportion": Wording(
-        "the proportions of the noise given are wrong ({p_value|chance}): residuals show "
+        "the proportions of the given noise are wrong ({p_value|chance}): residuals show "
         "{% for name, ratio in ratios.items() %}{(100 * ratio)|f(0)} % of it in {name}"
         "{', ' if not loop.last}{% endfor %}",
         "Leave the noise options out, so that it is estimated by group",
@@ -61,13 +61,13 @@ FINDINGS: dict[str, Wording] = {
     "model-lacks": Wording(
         "{quantity}: residuals follow {TERMS[term][0]} ({p_value|chance}), which the model does "
         "not include; likely {TERMS[term][1]}",
-        "Model it (pincal explain names the term) or remove the cause; measure in random order",
+        "Model it (pincal explain names the term), or remove the cause; measure in random order",
         title="residuals follow a pattern",
     ),
     "step": Wording(
         "{quantity} is off by {size|amount(unit)} from data row {row} on ({p_value|chance})",
         "Run pincal explain first; then look for an encoder that slipped, or a target or camera "
-        "that was hit, and leave the shorter part out",
+        "that was hit, and leave out the shorter part",
         title="a step",
     ),
     "rows-alike": Wording(
@@ -81,14 +81,14 @@ FINDINGS: dict[str, Wording] = {
         "the pose '{pose}', measured {rows|length} times, moved: {quantity} by {size|amount(unit)} "
         "from data row {row} to {rows[-1]} ({p_value|chance})",
         "Look for warming, or a tracker or base that moves; measure again when warm, or name the "
-        "parts of the run in a column run",
+        "parts of the measurement in a column 'run'",
         title="a repeated pose moved",
     ),
     "outliers": Wording(
         "{rows|length} of {total} rows do{'es' if rows|length == 1} not fit the others: "
         "{'' if rows|length == 1 else 'worst '}data row {row}, by {sigma|f(1)} σ ({quantity} off "
         "by {off|f(1)} σ)",
-        "{'First model what the residuals follow, which may be why; then check ' ~ them if "
+        "{'First model what the residuals follow, which may be the cause; then check ' ~ them if "
         "lacking else 'Check ' ~ them ~ ', or use a robust loss (--loss reject)'}",
     ),
     "wrong-rows": Wording(
@@ -126,11 +126,11 @@ FINDINGS: dict[str, Wording] = {
     ),
     "tolerance-found": Wording(
         "{% set kinds = {'m': 'lengths', 'rad': 'angles', '1': 'gains'}[unit] %}"
-        "{% if size|finite %}{kinds} differ from the drawing by {size|amount(unit)}, standard "
-        "deviation of {count} (95 %: {low|amount(unit)} "
+        "{% if size|finite %}{kinds} differ from the drawing by {size|amount(unit)} (standard "
+        "deviation of {count}; 95 %: {low|amount(unit)} "
         "{'to ' ~ high|amount(unit) if high|finite else 'or more'})"
-        "{% else %}{count} {kinds} do not show how far they are from the drawing{% endif %}",
-        "{% if not size|finite %}They are free; give their tolerance (--tolerance, --priors), if "
+        "{% else %}from {count} {kinds} no tolerance can be estimated{% endif %}",
+        "{% if not size|finite %}They are free; give their tolerance (--tolerance, --priors) if "
         "it is known{% elif not low %}They may be as drawn{% endif %}",
         "info",
     ),
@@ -153,56 +153,56 @@ FINDINGS: dict[str, Wording] = {
         "They were held near nominal; the calibration holds only where it was measured",
     ),
     "far-from-nominal": Wording(
-        "{parameter} changed by {'%+.3g' % change}{unit|si}, more than a machine differs from its "
-        "drawing",
+        "{parameter} changed by {'%+.3g' % change}{unit|si}, more than a machine usually "
+        "differs from its drawing",
         "Check units, the order of the readings, and the frame of the measurements"
         "{' (if unknown: --' ~ options|join(', --') ~ ')' if options}",
     ),
     "zeros-found": Wording(
         "reading zeros are far from nominal: {% for id, change, unit in changes %}"
         "{loop|joint}{id} by {change|g}{unit|si or ' '}{% endfor %}",
-        "Expected if the motors were zeroed anew; otherwise check the columns of these readings",
+        "Expected if the motors were zeroed again; otherwise check the columns of these readings",
     ),
     "gauge-base-frame": Wording(
         "the base frame ({freedoms|counted('freedom')}), since "
-        "{% if unknown_frame %}the frame of the measurements is unknown{% else %}what was measured "
-        "does not fix it{% endif %}",
+        "{% if unknown_frame %}the frame of the measurements is unknown{% else %}the measurements "
+        "do not fix it{% endif %}",
         severity="info",
     ),
     "gauge-platform-frame": Wording(
-        "the platform frame ({freedoms|counted('freedom')}), since what was measured does not show "
+        "the platform frame ({freedoms|counted('freedom')}), since the measurements do not show "
         "where the platform's points lie in it",
         severity="info",
     ),
     "gauge-scale": Wording(
-        "the scale (1 freedom), since points touched at unknown places do not say how far apart "
-        "they are (places of two of them in the setup do)",
+        "the scale (1 freedom), since points touched at unknown places do not fix distances "
+        "(give the places of two of them in the setup)",
         severity="info",
     ),
     "redundant-parameters": Wording(
-        "{count|counted('parameter')} {'is' if count == 1 else 'are'} redundant, whatever is "
+        "{count|counted('parameter')} {'is' if count == 1 else 'are'} redundant whatever is "
         "measured: {groups|groups}",
         severity="info",
     ),
 }
-#: What is said of each code.
+#: Wordings of all codes.
 WORDINGS: Mapping[str, Wording] = FINDINGS | FAULTS | HYPOTHESES
 
 
 def finding(
     code: str, rows: Iterable[int] = (), parameters: Iterable[str] = (), **values: Any
 ) -> Finding:
-    """Return a finding of a code, its rows counted from 0, its values in SI.
+    """Return the finding with a code; rows count from 0, values are in SI.
 
     Raises:
-        KeyError: a code that there is not.
+        KeyError: no finding has this code.
     """
     places = tuple(int(row) for row in rows)
     return Finding(code, WORDINGS[code].severity, values, places, tuple(parameters))
 
 
 def sentence(finding: Finding) -> str:
-    """Return what was found and what to do about it, without a full stop."""
+    """Return a finding and its remedy in words, without a final full stop."""
     if finding.code in HYPOTHESES:
         return explanation([finding])
     wording = WORDINGS[finding.code]
@@ -211,9 +211,9 @@ def sentence(finding: Finding) -> str:
 
 
 def sentences(findings: Iterable[Finding], *severities: str) -> list[str]:
-    """Return the sentences of findings, of some severities if they are given.
+    """Return the sentences of findings, or only of findings with the severities given.
 
-    Hypotheses that explain the same measurements alike are one sentence.
+    All hypotheses together make one sentence, since they explain the measurements equally well.
     """
     chosen = [finding for finding in findings if not severities or finding.severity in severities]
     hypotheses = [finding for finding in chosen if finding.code in HYPOTHESES]

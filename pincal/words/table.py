@@ -1,7 +1,7 @@
-"""Tables: columns and rows said once, shown in a terminal, on a page, as text.
+"""Tables, which a terminal, a page and plain text show alike.
 
-A cell is a number in SI, a string, None, or a ``Cell`` whose text is its own; a column's unit says
-in what numbers are read. Headers say that unit: ``rms [mm]``.
+A cell is a number in SI, a string, None, or a ``Cell`` with a text of its own. Numbers are shown in
+the unit of their column, which its head names: ``rms [mm]``.
 """
 
 from __future__ import annotations
@@ -21,21 +21,20 @@ if TYPE_CHECKING:
 
 
 class Cell(NamedTuple):
-    """A value and how it is shown, where that depends on more than its column."""
+    """A value together with its text, where the column's format does not do."""
 
     value: float | str | None
-    """Raw, SI."""
+    """Value in SI; numbers align their column to the right."""
     text: str
 
 
 Value: TypeAlias = "float | str | Cell | None"
-_WIDE = 10_000  # columns: as wide as any table is
 
 
 def quantity(
     value: float, unit: str, half: float = 0.0, units: Mapping[str, str] = SMALL, sign: str = ""
 ) -> Cell:
-    """Return a number of SI units that are not those of its whole column; see ``fixed``."""
+    """Return a cell for a value with an SI unit of its own, rounded by ``fixed``; NaN is empty."""
     return Cell(value, "" if value != value else fixed(value, half, unit, units, sign))
 
 
@@ -44,26 +43,26 @@ _HEAD = re.compile(r"(.*?)(?: \[(m|rad)\])?(?::(\.\d[fg]))?")
 
 @dataclass(frozen=True)
 class Table:
-    """A table: shown by rich's console, by a page's template, by a notebook."""
+    """A table that rich's console, a page's template and a notebook can show."""
 
     title: str
     columns: Sequence[str]
-    """What heads them, with SI unit and format of numbers: ``rms``, ``worst [m]:.3f``."""
+    """Heads with SI unit and number format: ``rms``, ``worst [m]:.3f``."""
     rows: Sequence[Sequence[Value]]
     caption: str = ""
-    """What to know of it."""
+    """Note below the table."""
     heads: bool = True
-    """Whether columns have heads; a list of facts has none."""
+    """Whether to show heads; a list of facts has none."""
 
     @property
     def _parts(self) -> list[tuple[str, str, str]]:
-        """Name, SI unit and format of each column; unit and format are empty if there is none."""
+        """Name, SI unit (or an empty string) and number format of each column."""
         matches = (_HEAD.fullmatch(column) for column in self.columns)
         return [(m[1], m[2] or "", m[3] or ".4g") for m in matches if m]
 
     @property
     def head_cells(self) -> list[str]:
-        """What heads the columns, with the units in which numbers are read."""
+        """Heads of the columns, with displayed units."""
         return [f"{name} [{SMALL[unit]}]" if unit else name for name, unit, _ in self._parts]
 
     def cells(self) -> list[list[str]]:
@@ -76,20 +75,20 @@ class Table:
 
     @property
     def aligned(self) -> tuple[Literal["left", "right"], ...]:
-        """On which side each column's cells stand: to the right if there is a number in it."""
+        """Alignment of each column: to the right if it has a number."""
         raw = [[v.value if isinstance(v, Cell) else v for v in row] for row in self.rows]
         places = range(len(self.columns))
         numeric = [any(isinstance(row[i], int | float) for row in raw) for i in places]
         return tuple("right" if number else "left" for number in numeric)
 
     def __html__(self) -> str:
-        """Return the table for templates, in a frame that scrolls where the page is too narrow."""
+        """Return the table as HTML, in a frame that scrolls where the page is too narrow."""
         return rendered("table.html", table=self, sides=self.aligned)
 
     _repr_html_ = __html__
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield title, table and caption; where it is too wide, text is broken between words."""
+        """Yield title, table and caption; text of a table that is too wide wraps between words."""
         from rich import box
         from rich.table import Table as RichTable
         from rich.text import Text

@@ -1,8 +1,8 @@
-"""What is said of a code, as templates; text that pages can hold; templates of pages.
+"""Templates of sentences and pages, and text without characters that pages cannot hold.
 
-A sentence is written as it is read, with Jinja expressions in braces: ``{size|amount(unit)}``, of a
-finding's values, its ``rows`` (counted from 1), ``row`` (the first), ``them`` (``it`` for one row)
-and ``parameters``, and of the filters below.
+A sentence is a Jinja template with expressions in braces, such as ``{size|amount(unit)}``. Names in
+it are the finding's values, its ``rows`` (counted from 1), ``row`` (the first), ``them`` (``it``
+for one row) and ``parameters``; filters are listed below.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from pincal.finding import Finding, Severity
 from pincal.model.checks import counted
 from pincal.words.numbers import SMALL, amount, chance, listed, number, percent, rounded
 
-#: Groups of parameters in a sentence; result.json has all.
+#: Most groups of parameters in a sentence; result.json has all.
 LISTED = 4
-#: Names in a message, rows of a long table.
+#: Most names in a message, and rows of a long table.
 NAMED = 12
 
 
 @dataclass(frozen=True)
 class Wording:
-    """All that is said of one code."""
+    """Sentence, remedy, severity and title of a finding's code."""
 
     says: str
-    """Template of what was found, in one sentence without capital and full stop."""
+    """Template of the finding: one sentence without capital and full stop."""
     remedy: str = ""
-    """Template of what to do about it, in a sentence without full stop."""
+    """Template of the remedy: a sentence without full stop."""
     severity: Severity = "warning"
     title: str = ""
-    """In few words, how it contradicts the model or its noise, so that no limit is promised."""
+    """Short name of a finding that contradicts the model or its noise, so that no limit holds."""
 
 
 def filled(words: str, finding: Finding) -> str:
-    """Return a template with the values of a finding."""
+    """Fill a template with the values of a finding."""
     rows = [row + 1 for row in finding.rows]
     them = "it" if len(rows) == 1 else "them"
     names = {"rows": rows, "row": rows[0] if rows else None, "them": them}
@@ -53,17 +53,17 @@ def _template(words: str) -> Template:
 
 
 def group_in_words(group: tuple[str, ...]) -> str:
-    """Return which parameters move together, by ids; one that is alone has no effect."""
+    """Name parameters, by id, that only move together; a single parameter has no effect."""
     return f"{named(group)} move together" if group[1:] else f"{group[0]} has no effect"
 
 
 def named(words: Sequence[object]) -> str:
-    """Return words in a sentence, and how many more there are than can be read."""
+    """Return words as an enumeration; after the first ``NAMED`` only how many more there are."""
     return listed(words if len(words) <= NAMED else [*words[:NAMED], f"{len(words) - NAMED} more"])
 
 
 def groups_in_words(groups: Sequence[tuple[str, ...]]) -> str:
-    """Return which parameters move together, a few groups and how many more there are."""
+    """Describe at most ``LISTED`` groups of parameters, and say how many more there are."""
     parts = list(map(group_in_words, groups))
     if len(parts) > LISTED + 1:
         parts[LISTED:] = [f"and {len(parts) - LISTED} more"]
@@ -77,7 +77,7 @@ def noise_in_words(
     units: Sequence[str],
     pixel: float | None = None,
 ) -> str:
-    """Return standard deviations of what was measured, readings in [units]; 0 is exact."""
+    """Return standard deviations in words; readings have [units], and 0 means exact readings."""
     parts = [] if position is None else [f"{amount(position, 'm')} in position"]
     parts += [] if orientation is None else [f"{amount(orientation, 'rad')} in orientation"]
     parts += [] if pixel is None else [f"{amount(pixel, 'px')} in images"]
@@ -90,12 +90,12 @@ _UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff
 
 
 def clean(text: str) -> str:
-    """Return text without characters that no page can hold."""
+    """Replace characters that no page can hold."""
     return _UNPRINTABLE.sub("\ufffd", text)
 
 
 def rendered(template: str, **values: Any) -> str:
-    """Return a template of ``pincal/words`` or ``pincal/show/pages`` with values."""
+    """Render a template of ``pincal/words`` or ``pincal/show/pages`` with values."""
     return _pages().get_template(template).render(**values)
 
 
@@ -120,23 +120,23 @@ _FILTERS = {
 }
 
 
-#: What a promise may leave out.
+#: Names of effects that a limit of the error may not cover.
 UNCOVERED = {"weight": "bending", "scale": "instrument scale", "time": "drift"}
 NOISE_SOURCES = {
     "given": "as given",
     "repeats": "from rows that were measured repeatedly",
     "estimated": "estimated from the residuals, since none was given",
 }
-#: What a mechanic looks at, by kind of term; other kinds are columns.
+#: Likely mechanical causes by kind of term; other kinds are columns of the measurements.
 CAUSES = {
     "harmonics": "an eccentric gear, encoder or screw",
     "period": "the pitch of a screw, or an eccentric gear with this ratio",
     "polynomial": "the pitch of a screw or belt, layers of cable on a drum, or a wrong table",
     "pulley": "the cable runs over a pulley that the model lacks",
     "backlash": "play, or friction that winds up the drive, by direction of approach",
-    "gravity": "a gear, bearing or link that bends under weight (1 kg if unknown)",
+    "gravity": "a gear, bearing or link that bends under weight (taken as 1 kg if unknown)",
 }
-#: Words for codes in values of findings.
+#: Names for codes in the values of findings.
 _NAMES = {
     "TERMS": {
         "angle": (
@@ -159,7 +159,7 @@ _NAMES = {
 
 @cache
 def sentence_templates() -> Environment:
-    """Return the environment of sentences."""
+    """Return the Jinja environment of sentences: expressions in single braces, no escaping."""
     environment = Environment(
         variable_start_string="{", variable_end_string="}", undefined=StrictUndefined
     )
