@@ -13,7 +13,7 @@ import pincal
 from . import drawing
 from .five_bar_errors import INSIDE, NOISE, Outcome, costs, maps, parameters
 from .inscribed import Circle, largest_circle
-from .study import Cell, Study, by_rows
+from .study import Cell, Study, at_most, by_rows
 from .trials import Protocol, Way, choose, compared, medians, trial_seeds
 
 Array = NDArray[np.float64]
@@ -201,7 +201,8 @@ def _printed(
         (
             "Eq. 12: L₂² with l₁",
             "l₁ twice",
-            f"loop open by {off[first['l']]:.1e} m with l₁, by {off[second['l']]:.0e} m with l₂",
+            f"loop open by {off[first['l']]:.1e} m with l₁, by at most "
+            f"{at_most(off[second['l']])} m with l₂",
             "holds with l₂",
         ),
         (

@@ -16,7 +16,7 @@ from pincal import Element
 
 from . import drawing
 from .hexapod_calibration import COMMON, calibration
-from .study import Study, by_rows
+from .study import Study, at_most, by_rows
 from .trials import paired
 
 Array = NDArray[np.float64]
@@ -106,20 +106,21 @@ def _equations(mechanism: pincal.Mechanism) -> list[tuple[str, str, str, str]]:
             "Eq. 15: a_i+1 = R_z(α) a_i, b alike",
             "from each leg to the next",
             f"off by {turned[1]:.2g} m with α = 60°; to the leg after, with α = 120°, by "
-            f"{turned[2]:.0e} m",
+            f"at most {at_most(turned[2])} m",
             "holds from leg i to leg i + 2: the joints lie in pairs",
         ),
         (
             "Eqs. 29, 30: leg vectors of the mirrored pose",
             "+ x_b, + y_b, + z_b",
-            f"off by {off[1]:.2g} m as printed, by {off[-1]:.0e} m with − x_b, − y_b, − z_b",
+            f"off by {off[1]:.2g} m as printed, by at most {at_most(off[-1])} m with "
+            "− x_b, − y_b, − z_b",
             "holds with the sign of Eq. 1: a leg goes from the base point",
         ),
         (
             "Eq. 39: L(u′₁) = P² L(u′₁) = P⁴ L(u₀)",
             "u′₁ twice",
-            f"lengths of Eqs. 36, 38 shifted by two legs: u₀ to u′₁ off by {shifts[0]:.0e} m, "
-            f"u′₁ to u′₂ by {shifts[1]:.0e} m",
+            f"lengths of Eqs. 36, 38 shifted by two legs: u₀ to u′₁ and u′₁ to "
+            f"u′₂ off by at most {at_most(max(shifts))} m",
             "holds with u′₂ on the left: L(u′₂) = P² L(u′₁) = P⁴ L(u₀)",
         ),
     ]
@@ -148,7 +149,7 @@ def _lengths(study: Study, poses: Array) -> str:
     study.say(
         f"""On 300 poses of the workspace, all {len(group.elements)} elements of D₆ permute the leg
         lengths (Eqs. 18, 33) within
-        {group.equivariance(poses):.0e} m."""
+        {at_most(group.equivariance(poses))} m."""
     )
     figure = Figure(figsize=(13, 8.6), layout="constrained")
     for place, (element, permutation) in enumerate(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 import pincal
 
 from . import drawing
-from .study import Study
+from .study import Study, at_most
 from .trials import (
     Protocol,
     Way,
@@ -89,7 +89,7 @@ def calibration(study: Study, poses: Array) -> dict[str, Array]:
     study.table(
         "selection",
         f"""Selections, efficiency against the bound of the same protocol. |R_ii| of the symmetric
-        one differs between legs by at most {max(spread, 1e-12):.0e}.""",
+        one differs between legs by at most {at_most(spread)}.""",
         {
             "selection": list(selections),
             "poses": [len(s.plan.poses) for s in selections.values()],

@@ -93,13 +93,18 @@ class Study:
             stem = folder / "tables" / name
             with stem.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file, lineterminator="\n")
-                writer.writerows([list(columns), *_rows(columns, digits=8)])
+                writer.writerows([list(columns), *_rows(columns, digits=6)])
         dots = 100 if self.quick else 300  # an inch
         with mpl.rc_context({"svg.hashsalt": self.name, "savefig.dpi": dots}):
             for name, figure in self.figures.items():
                 stem = folder / "figures" / name
                 figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
                 figure.savefig(stem.with_suffix(".png"))
+
+
+def at_most(size: float) -> str:
+    """Return a size that may be rounding alone: 1e-12 or more, alike on every machine."""
+    return f"{max(size, 1e-12):.0e}"
 
 
 def by_rows(headers: Sequence[str], rows: Sequence[Sequence[Cell]]) -> dict[str, list[Cell]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import pincal
 
 from . import drawing
-from .study import Study
+from .study import Study, at_most
 from .three_rrr_errors import NOISE, asymmetry, cramer_rao, draw_maps, measure_accuracies
 from .trials import Protocol, Way, choose, paired
 
@@ -110,7 +110,7 @@ def _spaces(study: Study, poses: Array) -> tuple[dict[float, pincal.Workspace], 
             "readings": [len(checked) for _ in distances],
             "solved": [int(np.isfinite(off).sum()) for off in distances.values()],
             "at the carried pose": reached,
-            "off at most [m, rad]": [f"{np.nanmax(off):.0e}" for off in distances.values()],
+            "off at most [m, rad]": [at_most(np.nanmax(off)) for off in distances.values()],
         },
         ["solved"],
     )
@@ -184,7 +184,7 @@ def _selections(study: Study, poses: Array) -> tuple[dict[str, pincal.Selection]
     study.table(
         "fig_9_parameters",
         f"""|R_ii| of each parameter of the symmetric selection. Between legs they differ by at most
-        {spread[0]:.0e}.""",
+        {at_most(spread[0])}.""",
         {"parameter": list(names)}
         | {leg.leg: [float(v) for v in leg.r_diagonal] for leg in first.legs},
         ["parameter", *(leg.leg for leg in first.legs)],
@@ -274,8 +274,8 @@ def _printed(mechanism: pincal.Mechanism) -> list[tuple[str, str, str, str]]:
         (
             "Eq. 17: the loop by norms",
             "‖r − A‖ = ‖AC + CB − oB‖",
-            f"holds within {closed:.0e} m at home with the driving link turned by 0.2 rad, where "
-            f"the loop is open by {gap:.2f} m",
+            f"holds within {at_most(closed)} m at home with the driving link turned by 0.2 rad, "
+            f"where the loop is open by {gap:.2f} m",
             "does not suffice: the loop closes as a vector, ‖r + oB − A − AC‖ = L",
         ),
         (
@@ -314,7 +314,7 @@ def _against(
         (
             "equal observability of the legs (Fig. 9)",
             "equal",
-            f"O₁ (Eq. 13) {index[0]:.4f}, differing by {np.ptp(index):.0e}",
+            f"O₁ (Eq. 13) {index[0]:.4f}, differing by at most {at_most(np.ptp(index))}",
             "holds" if np.ptp(index) < 1e-9 * index[0] else "does not hold",
         ),
     ]
@@ -323,7 +323,7 @@ def _against(
         (
             "equal R_ii at mapped poses (Eq. 10)",
             "leg 1 at λ_κ(R) as leg κ at R",
-            f"off by {100 * printed:.2g} % at most with λ_κ, by {inverse:.0e} with λ_κ⁻¹",
+            f"off by {100 * printed:.2g} % at most with λ_κ, by {at_most(inverse)} with λ_κ⁻¹",
             "holds with the inverse: λ_κ carries leg 1 onto leg κ, so that leg κ's poses go back",
         )
     )

@@ -19,7 +19,7 @@ LINES = {
     "cli": 2_804,
     "design": 2_339,
     "estimation": 4_758,
-    "files": 3_383,
+    "files": 3_386,
     "formats": 3_515,
     "instruments": 1_579,
     "kinematics": 3_386,

@@ -60,6 +60,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "calibrate 5R {data} -o {}/new", 50_000, marks=pytest.mark.slow
         ),  # all but the report
         ("inverse 5R {plan} -o {}/new.csv", 100),
+        ("montecarlo 5R {plan} -o {}/new.csv --machines 1 --tolerance 1mm,1mrad,0.001", 100),
         ("view 5R -o {}/new.png", 1000),
         ("simulate 5R {plan} -o {0}/new.csv --truth {0}/new --disturb 0.001", 1800),
         ("export 3RRR -o {}/new.xml", 2000),

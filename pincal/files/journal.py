@@ -193,7 +193,8 @@ def append_lines(path: Path, columns: Sequence[str], rows: Sequence[Sequence[obj
     Raises:
         OSError: it cannot be written.
     """
-    size = path.stat().st_size if path.exists() else 0
+    before = path.exists()
+    size = path.stat().st_size if before else 0
     try:
         with path.open("a", newline="", encoding="utf-8") as file:
             lines = [columns, *rows] if columns and not size else rows
@@ -203,8 +204,10 @@ def append_lines(path: Path, columns: Sequence[str], rows: Sequence[Sequence[obj
         if not size:
             _synchronise_folder(path)
     except OSError:
-        if path.exists():
+        if before:
             os.truncate(path, size)
+        else:
+            path.unlink(missing_ok=True)
         raise
 
 
