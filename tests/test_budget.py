@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_870,
+    "calibration": 6_871,
     "cli": 2_804,
     "design": 2_339,
     "estimation": 4_758,

@@ -110,9 +110,9 @@ def _seen_line(candidate: Candidate, mechanism: Mechanism) -> str:
         cause += f", with a radius of {' to '.join(shown)} after one step of the fit"
     if candidate.spread:
         sizes, unit = np.hypot.reduce(candidate.values.reshape(-1, 2), axis=1), candidate.unit
-        largest, (period,) = int(np.argmax(sizes)), candidate.kind.numbers
-        std = float(candidate.std.reshape(-1, 2)[largest].max())
-        cause += f"; amplitude {measured(float(sizes[largest]), 2.0 * std, unit, SMALL)}, "
+        std, (period,) = candidate.std.reshape(-1, 2).max(axis=1), candidate.kind.numbers
+        size, error = max(zip(sizes.tolist(), std.tolist(), strict=True), key=lambda v: v[0] / v[1])
+        cause += f"; amplitude {measured(size, 2.0 * error, unit, SMALL)}, "
         cause += f"period {measured(period, 2.0 * candidate.spread, unit, POSES)}"
 
     def called(place: str) -> str:

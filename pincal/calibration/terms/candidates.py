@@ -238,18 +238,19 @@ def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurement
 
 
 def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
-    """Return readings and ids that gravity loads no more than their axes are true.
+    """Return readings and ids whose load by gravity varies no more than their axes are true.
 
-    As joints about the vertical: what loads them is rounding, or how far the axis leans. Forces
-    count by the moment that they have about the machine's size.
+    The load of a joint about the vertical varies by rounding, or by how far its axis leans. Forces
+    count by their moment about the machine's size.
     """
     units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
     units |= {parameter.id: parameter.unit for parameter in mechanism.parameters}
     loads = {}
     for owner in mechanism.load_names:
-        values = measurements.influences.get(f"{LOAD}_{owner}", 0.0)
+        values = measurements.influences.get(f"{LOAD}_{owner}", np.zeros(1))
         arm = mechanism.size if units[owner] == "m" else 1.0
-        loads[owner] = arm * float(np.nanmax(np.abs(values), initial=0.0))
+        known = values[np.isfinite(values)]
+        loads[owner] = arm * float(np.ptp(known)) if known.size else 0.0
     least = _TRUE * max(loads.values())
     return {owner for owner, load in loads.items() if load <= least}
 
