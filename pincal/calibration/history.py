@@ -142,19 +142,19 @@ def history_of(paths: Sequence[Path]) -> History:
         FileError: a folder has no result.
         MeasurementError: results are of different machines, or did not converge.
     """
-    folders = list[Path]()
+    folders = dict[Path, Path]()  # by where they are: each once
     for path in paths:
-        inside = [path] if (path / RESULT).is_file() else sorted(path.glob(f"*/{RESULT}"))
+        nested = sorted(file.parent for file in path.glob(f"*/{RESULT}"))
+        inside = [path] if (path / RESULT).is_file() else nested
         if not inside:
             raise FileError(
                 f"{path} holds no result; 'pincal calibrate MECH DATA.csv -o {path}/2026-03-31' "
                 "makes one"
             )
-        folders += [file.parent if file.name == RESULT else file for file in inside]
-    folders = list({folder.resolve(): folder for folder in folders}.values())  # each once
+        folders |= {folder.resolve(): folder for folder in inside if folder.suffix != ".bak"}
     if len(folders) < 2:
         raise MeasurementError("one calibration is no history; give two or more results")
-    loaded = [(_date_of(folder), folder.name, load_result(folder)) for folder in folders]
+    loaded = [(_date_of(folder), folder.name, load_result(folder)) for folder in folders.values()]
     loaded.sort(key=lambda dated: dated[:2])
     dates, names, results = zip(*loaded, strict=True)
     for name, result in zip(names, results, strict=True):

@@ -86,6 +86,8 @@ class SessionOptions:
     """Measured freedoms of the platform and columns of the setup; None for all."""
     units: Units = SI
     """Units of the columns; by default mm and degrees."""
+    following: str = ""
+    """What the user does once it is enough."""
 
 
 class Checked(NamedTuple):

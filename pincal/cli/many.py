@@ -182,7 +182,7 @@ def batch(
 def history(
     results: Annotated[
         list[Path],
-        typer.Argument(metavar="RESULT…", help="Results of 'calibrate', or folders of them."),
+        typer.Argument(metavar="RESULTS", help="Results of 'calibrate', or folders of them."),
     ],
     output: Annotated[
         Path | None, output_option("HISTORY.html", "Page with charts of the parameters.")

@@ -112,9 +112,17 @@ def measure(
             write_table(path, columns_of(mechanism, plan))
         elif source.plan is not None:
             remark(f"poses are those of {path}, with which the session began")
+        noise = with_reading_noise(noise, mechanism)
+        words = ["pincal", "calibrate", mech, str(session / "rows.csv")]
+        words += ["--setup", str(options.setup_file)] * (options.setup_file is not None)
+        words += ["--unknown-frame"] * options.unknown_frame
+        words += ["--unknown-target"] * options.unknown_target
+        for name in ("position", "orientation", "reading"):
+            words += [f"--noise-{name}", f"{getattr(noise, name):g}"]
         asked = replace(
             session_options,
-            noise=with_reading_noise(noise, mechanism),
+            following=f"next: {shlex.join([*words, '-o', 'RESULT'])}",
+            noise=noise,
             setup=setup,
             measured=options.measured(mechanism, setup),
             units=options.written_in(mechanism),
@@ -137,14 +145,7 @@ def measure(
             server.close()
         opened.journal.close()
         say(f"{len(opened.journal.rows)} rows in {opened.journal.path}")
-        words = ["pincal", "calibrate", mech, str(opened.journal.path)]
-        words += ["--setup", str(options.setup_file)] * (options.setup_file is not None)
-        words += ["--unknown-frame"] * options.unknown_frame
-        words += ["--unknown-target"] * options.unknown_target
-        for name in ("position", "orientation", "reading"):
-            words += [f"--noise-{name}", f"{getattr(asked.noise, name):g}"]
-        if opened.journal.rows:
-            say(f"next: {shlex.join([*words, '-o', 'RESULT'])}")
+        say(*[asked.following] * bool(opened.journal.rows))
 
 
 @contextmanager

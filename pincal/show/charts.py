@@ -127,7 +127,7 @@ class Plots:
         """Draw the expected error of the platform's position after the calibration.
 
         The map shows the standard error over the workspace, for machines in space at half its
-        height; the other coordinates are as at home. White: not in the workspace.
+        height; the other coordinates are as at home. Blank: not in the workspace.
 
         Raises:
             MeasurementError: residuals are too large to state an accuracy, or the measurements do

@@ -20,8 +20,6 @@ from pincal.words.faults import causes
 from pincal.words.numbers import amount, percent
 from pincal.words.wording import rendered
 
-_NUMBERED = 1e4  # σ; from here on the number means nothing and is not shown
-
 
 def set_points(session: Session, row: int) -> dict[str, float]:
     """Return the planned readings and pose of a row by column, in the units of the sheet."""
@@ -40,7 +38,7 @@ def verdict_on_row(checked: Checked) -> str:
     if not checked.off:
         return f"{row} is recorded: {checked.sigma:.1f} σ from the prediction"
     far = "no pose of this machine belongs to it"
-    if checked.sigma < _NUMBERED:
+    if np.isfinite(checked.sigma):
         far = f"{checked.sigma:.3g} σ off, most in the {checked.quantity}"
     likely = f": likely {causes(checked.causes)}" if checked.causes else ""
     return f"{row} is recorded, but {far}{likely}. Measure it again (undo), or keep it?"
@@ -67,7 +65,7 @@ def progress(session: Session) -> list[str]:
             f"row {row + 1} is {sigma:.1f} σ off the prediction by all others: undo (u {row + 1})?"
         )
     if session.enough:
-        lines.append(f"enough: {amount(accuracy or 0.0, 'm')} reached")
+        lines += [f"enough: {amount(accuracy or 0.0, 'm')} reached", session.options.following]
     elif accuracy is not None and error is not None and error.limit[0] <= accuracy:
         lines.append("the next pose widens the measured region, outside of which nothing is stated")
     elif accuracy is not None:
