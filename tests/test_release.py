@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 _CONDA = {
     "pin": "pinocchio",
     "lazy_loader": "lazy-loader",
+    "XlsxWriter": "xlsxwriter",
     "matplotlib": "matplotlib-base",
     "meshcat": "meshcat-python",
     "PyYAML": "pyyaml",
