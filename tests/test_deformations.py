@@ -343,7 +343,7 @@ def test_wrong_terms_of_parameters_are_named(tmp_path: Path, text: str, words: s
 def test_a_leg_that_deforms_is_not_carried() -> None:
     """What grows in one direction may grow in another one where the leg is carried to."""
     leg = deforming(pincal.load_mechanism("5R"), ("A_x",), "temperature").legs[0]
-    with pytest.raises(SymmetryError, match=r"A_x have terms, of which the rotation .* may make"):
+    with pytest.raises(SymmetryError, match=r"A_x have terms, which the rotation .* may change"):
         carry(leg, cyclic(3)[1])
 
 

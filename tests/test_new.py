@@ -300,7 +300,7 @@ IMPOSSIBLE = {
     "3-RRR --distal 10mm": "too short or too long for the home pose",
     "cable-4 --platform-width 3m": "expected less than frame_width",
     "cable-8 --cables straight": "singular",
-    "arm": "an arm is made of a table",
+    "arm": "an arm needs a Denavit-Hartenberg table",
     "arm --dh none.csv": "none.csv",
     "hexpod": "did you mean 'hexapod'?",
 }

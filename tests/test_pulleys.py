@@ -121,7 +121,7 @@ def test_pulleys_are_saved_and_carried(box: pincal.Mechanism, tmp_path: Path) ->
 
 def test_unusual_cables_have_no_pulley() -> None:
     """A leg with a drive that is no cable is refused by name."""
-    with pytest.raises(pincal.MechanismError, match=r"leg_1 runs over no pulley"):
+    with pytest.raises(pincal.MechanismError, match=r"leg_1 cannot run over a pulley"):
         pincal.over_pulley(pincal.load_mechanism("delta").legs[0], RADIUS)
 
 

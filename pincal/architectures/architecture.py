@@ -1,4 +1,4 @@
-"""An architecture: the dimensions of its data sheet, and what a machine of them cannot do."""
+"""Architectures: the dimensions of their data sheets, and checks of machines made of them."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ from pincal.model.checks import must_be, number_of
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import at_home as closed_at_home
 
-#: Dimensions by name: lengths [m], angles [rad], and texts.
+#: Values of dimensions by name: lengths [m], angles [rad], and texts.
 Values: TypeAlias = Mapping[str, Any]
 LEAST = 1e-6
-_FLAT = 1e-3  # of what the legs' lines span at home
+_FLAT = 1e-3  # determinant at home below which the pose is singular
 
 
 @dataclass(frozen=True)
 class SheetDimension:
-    """One dimension of an architecture, which is also an option: ``base_radius``."""
+    """Dimension of an architecture, which is also a command's option: ``base_radius``."""
 
     name: str
     label: str
-    """What it is, for people."""
+    """Description for people."""
     unit: str = "m"
-    """``"m"``, ``"rad"``, or ``""`` of a text."""
+    """Unit: ``"m"``, ``"rad"``, or ``""`` for a text."""
     default: float | str = ""
-    """[m], [rad], or a text; with ``multiple_of`` a factor."""
+    """Default value, [m], [rad] or a text; a factor if there is a ``multiple_of``."""
     multiple_of: str = ""
-    """Dimension before it, of which the default is a multiple."""
+    """Name of an earlier dimension of which the default is a multiple."""
     least: float = LEAST
-    """[m] or [rad], as ``most``."""
+    """Smallest value, [m] or [rad]."""
     most: float = 1e3
     above: str = ""
-    """Dimension before it, than which it must be more."""
+    """Name of an earlier dimension that it must exceed."""
     below: str = ""
-    """Dimension before it, than which it must be less."""
+    """Name of an earlier dimension that must exceed it."""
     choices: tuple[str, ...] = ()
-    """What a text may be; anything if there are none."""
+    """Values that a text may have; any if empty."""
 
     def checked(self, value: Any, before: Values) -> float | str:
-        """Return a value that the dimension may have, where those before it are what they are."""
+        """Return the value; raise MechanismError unless it fits the limits and values before."""
         title = f"the {self.label} ({self.name})"
         if self.choices and value not in self.choices:
             must_be(value, (str,), title, MechanismError)
@@ -68,47 +68,47 @@ class SheetDimension:
         return number
 
     def text(self, value: float | str) -> str:
-        """Return a value with its unit as data sheets have it, in mm or degrees."""
+        """Return a value with its unit as in data sheets, in mm or degrees."""
         return sized(float(value), self.unit) if self.unit else str(value)
 
 
 def sized(value: float, unit: str) -> str:
-    """Return a length [m] in mm, or an angle [rad] in degrees."""
+    """Return a length [m] as text in mm, or an angle [rad] as text in degrees."""
     return f"{1e3 * value:.6g} mm" if unit == "m" else f"{degrees(value):.6g} deg"
 
 
 def length(
     name: str, label: str, default: float, multiple_of: str = "", **limits: Any
 ) -> SheetDimension:
-    """Return a length, its default in [m], or a multiple of another one before it."""
+    """Return a length; the default is in [m], or a factor of the dimension ``multiple_of``."""
     return SheetDimension(name, label, "m", default, multiple_of, **limits)
 
 
 def angle(
     name: str, label: str, default: float, least: float = LEAST, most: float = 1e3, above: str = ""
 ) -> SheetDimension:
-    """Return an angle, its default in degrees, its limits in [rad]."""
+    """Return an angle; the default is in degrees, the limits are in [rad]."""
     return SheetDimension(name, label, "rad", radians(default), "", least, most, above)
 
 
 def text(name: str, label: str, *choices: str) -> SheetDimension:
-    """Return a text, the first of some choices if it is not given."""
+    """Return a text; the default is the first choice."""
     return SheetDimension(name, label, "", (*choices, "")[0], choices=choices)
 
 
 @dataclass(frozen=True)
 class Architecture:
-    """A kind of mechanism, and how one is made from its dimensions."""
+    """A kind of mechanism, and the function that makes one from its dimensions."""
 
     name: str
     title: str
     dimensions: tuple[SheetDimension, ...]
     make: Callable[[Values], Mechanism]
     box: Callable[[Values], str] = lambda _: ""
-    """Where it works, as of ``--box``, where the limits of readings do not say so."""
+    """Working space in the form of ``--box``, if limits of the readings do not bound it."""
 
     def complete(self, dimensions: Values) -> dict[str, float | str]:
-        """Return all dimensions in order: those given, others in proportion to these."""
+        """Return all dimensions in order; those not given are in proportion to the others."""
         names = [dimension.name for dimension in self.dimensions]
         if unknown := [name for name in dimensions if name not in names]:
             raise MechanismError(
@@ -126,12 +126,12 @@ class Architecture:
         return values
 
     def sheet(self, values: Values) -> list[str]:
-        """Return names and values of the dimensions that are sizes or choices."""
+        """Return names and values of the dimensions that are numbers or choices."""
         shown = [item for item in self.dimensions if item.unit or item.choices]
         return [f"{item.name} {item.text(values[item.name])}" for item in shown]
 
     def at_home(self, made: Mechanism, values: Values) -> Mechanism:
-        """Return a mechanism with its legs closed at home."""
+        """Return a mechanism with its legs closed at home; raise MechanismError if one is not."""
         change = f"change one of {', '.join(self.sheet(values))}"
         platform, legs = made.platform, []
         for leg in made.legs:
@@ -152,6 +152,6 @@ class Architecture:
         made = replace(made, legs=tuple(legs))
         if not abs(home_determinant(made)) >= _FLAT:  # it is NaN where a leg misses home
             raise MechanismError(
-                f"{self.name}: the legs do not hold the platform at home, a singular pose; {change}"
+                f"{self.name}: home is a singular pose: legs do not hold the platform; {change}"
             )
         return made

@@ -1,10 +1,10 @@
 """Cable robots from a data sheet's dimensions, and cables that run over pulleys.
 
-A cable over a pulley comes along the axis of a swivel and meets the pulley there, at the anchor A.
-Wrapped by an angle θ it leaves the pulley of radius r where it is tangent, so that its length is
-r θ and what is free (A. Pott, Cable-Driven Parallel Robots, Springer 2018, section 7.2). As joints:
-the swivel; the turn by θ about the pulley's middle; the slide of the arc, which follows θ by r and
-takes back what is wrapped; the line, whose position is the whole length.
+A cable over a pulley comes along the axis of a swivel and meets the pulley at the anchor A. It is
+wrapped by an angle θ and leaves the pulley of radius r at the tangent, so that its length is r θ
+plus the free length (A. Pott, Cable-Driven Parallel Robots, Springer 2018, section 7.2). Its joints
+are the swivel; a revolute joint by θ about the pulley's middle; a slide that follows θ by the ratio
+r and takes back the wrapped length; and the line, whose position is the whole length.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _LABELS = {
     for letter, label in (("A", "anchor"), ("b", "platform's corner"))
     for axis in "xyz"
 } | {"k": "gain of the reading", "r": "radius of the pulley"}
-_WITHIN = 0.8  # of the room that a platform has in its frame
+_WITHIN = 0.8  # part of the room in the frame that a platform uses
 
 
 def _cable(number: int, anchor: Array, corner: Array, home: Array) -> Leg:
-    """Return a cable by number; anchor, corner in the platform, home are (2,) or (3,), [m]."""
+    """Return a cable; anchor, corner (platform frame) and home have shape (2,) or (3,), [m]."""
     axes = "xyz"[: len(anchor)]
     values = {f"A_{axis}": float(value) for axis, value in zip(axes, anchor, strict=True)}
     values |= {f"b_{axis}": float(value) for axis, value in zip(axes, corner, strict=True)}
@@ -47,7 +47,7 @@ def _cable(number: int, anchor: Array, corner: Array, home: Array) -> Leg:
         swivel = [Joint("swivel", "revolute", foot, home=atan2(along[1], along[0]))]
         direction = (1.0, 0.0, 0.0)
     else:
-        frame, direction = np.eye(4), (0.0, 0.0, 1.0)  # z along the cable, y level
+        frame, direction = np.eye(4), (0.0, 0.0, 1.0)  # z along the cable, y horizontal
         frame[:3, 2] = along / length
         level = np.cross((0.0, 0.0, 1.0), along)
         frame[:3, 1] = level / np.linalg.norm(level) if level.any() else (0.0, 1.0, 0.0)
@@ -69,7 +69,7 @@ def _cable(number: int, anchor: Array, corner: Array, home: Array) -> Leg:
 
 
 def _robot(anchors: Array, corners: Array, platform: Platform) -> Mechanism:
-    """Return a cable robot of anchors and corners, shape (n_cables, 2) or (n_cables, 3), [m]."""
+    """Return a cable robot; anchors and corners have the shape (n_cables, 2) or (…, 3), [m]."""
     home = np.array(platform.home[: anchors.shape[1]])
     pairs = zip(anchors, corners, strict=True)
     legs = tuple(_cable(i, *pair, home) for i, pair in enumerate(pairs, start=1))
@@ -77,7 +77,7 @@ def _robot(anchors: Array, corners: Array, platform: Platform) -> Mechanism:
 
 
 def _planar(d: Values) -> Mechanism:
-    """Frame and platform have their middle at the origin; crossed, cables of one side cross."""
+    """Return a planar robot centred at the origin; if crossed, the cables of a side cross."""
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
     side = (1, -1) if d["cables"] == "crossed" else (1, 1)
     anchors = signs * (d["frame_width"] / 2, d["frame_height"] / 2)
@@ -86,7 +86,7 @@ def _planar(d: Values) -> Mechanism:
 
 
 def _spatial(d: Values) -> Mechanism:
-    """The frame's middle is over the origin; a quarter turn goes one way above, the other below."""
+    """Return a robot in a frame centred on z; cables turn one way above, the other way below."""
     anchors, corners = [], []
     for level, (x, y) in product((1, -1), ((1, 1), (-1, 1), (-1, -1), (1, -1))):
         z = d["upper"] if level > 0 else d["lower"]
@@ -106,13 +106,13 @@ def _spatial(d: Values) -> Mechanism:
 
 
 def _in_plane(d: Values) -> str:
-    """Return where a platform is well inside its frame, turned by 20° at most."""
+    """Return ranges in which a platform is well inside its frame, turned by at most 20°."""
     x, y = _free(d, "width", "height")
     return f"x={-x:g}..{x:g}, y={-y:g}..{y:g}, phi=-20deg..20deg"
 
 
 def _in_space(d: Values) -> str:
-    """Return where a platform is well inside its frame, tilted and turned by 20° at most."""
+    """Return ranges in which it is well inside its frame, tilted and turned by at most 20°."""
     x, y, z = _free({**d, "frame_height": d["upper"] - d["lower"]}, "length", "width", "height")
     middle = (d["upper"] + d["lower"]) / 2
     heights = f"z={middle - z:g}..{middle + z:g}"
@@ -120,7 +120,7 @@ def _in_space(d: Values) -> str:
 
 
 def _free(d: Values, *sides: str) -> Array:
-    """Return most of half the room that a platform has along the sides of its frame, [m]."""
+    """Return the range, ± [m], that a platform uses along each side of its frame."""
     room = [d[f"frame_{side}"] - d[f"platform_{side}"] for side in sides]
     return _WITHIN * np.maximum(room, 0.0) / 2
 
@@ -129,7 +129,7 @@ _FOUR = (
     length("frame_width", "distance of the anchors along x", 2.0),
     length("frame_height", "distance of the anchors along y", 0.75, "frame_width"),
     length("platform_width", "width of the platform", 0.15, "frame_width", below="frame_width"),
-    length("platform_height", "its height", 1.0, "platform_width", below="frame_height"),
+    length("platform_height", "platform's height", 1.0, "platform_width", below="frame_height"),
     text("cables", "way of the cables", "crossed", "straight"),
 )
 _EIGHT = (
@@ -155,13 +155,13 @@ CABLE_ROBOTS = (
 def over_pulley(
     leg: Leg, radius: float, name: str = "r", axis: tuple[float, float, float] = UP
 ) -> Leg:
-    """Return a cable over a pulley; a leg that is a universal joint at its anchor and a line.
+    """Return a cable, a universal joint at its anchor and a line, led over a pulley.
 
     Args:
         leg: The cable, closed at home.
-        radius: Of the pulley, [m]; a parameter of the leg, its last.
-        name: The parameter's.
-        axis: Unit vector along the swivel, in which the cable comes to the pulley; base frame.
+        radius: Radius of the pulley, [m]; it becomes the last parameter of the leg.
+        name: Name of that parameter.
+        axis: Unit vector of the swivel, along which the cable comes to the pulley; base frame.
 
     Raises:
         MechanismError: the leg is no such cable, or its tip at home is within the pulley.
@@ -174,8 +174,8 @@ def over_pulley(
     """
     if not is_cable(leg):
         raise MechanismError(
-            f"{leg.name} runs over no pulley: expected a universal joint at the anchor, and a line "
-            "through it that counts from there"
+            f"{leg.name} cannot run over a pulley: expected a universal joint at the anchor, and a "
+            "driven line through it that is zero there"
         )
     places = leg.link_placements(leg.home[None])[0, :, :3, 3]
     along = places[-1] - places[0]
@@ -189,11 +189,11 @@ def over_pulley(
     first, second, line, tip = leg.joints
     values = leg.nominal_by_name | {name: radius}
     constant = first.placement.rest(leg.nominal_by_name, leg.name).copy()
-    drawn = first.placement.origin()[:3, :3] @ constant[:3, :3].T  # by coordinates that turn
+    drawn = first.placement.origin()[:3, :3] @ constant[:3, :3].T  # turn by coordinates
     x = level / np.linalg.norm(level) if level.any() else np.linalg.svd(np.array([axis]))[2][1]
     constant[:3, :3] = drawn.T @ np.stack((x, np.cross(axis, x), axis), axis=1)  # x towards home
     to_middle = Placement.of(values, x=name)
-    middle = to_middle.at(values, np.diag((-1.0, -1.0, 1.0, 1.0)))  # from there x is back
+    middle = to_middle.at(values, np.diag((-1.0, -1.0, 1.0, 1.0)))  # x points back to the anchor
     arc = Joint("arc", "prismatic", to_middle, (0.0, 0.0, -1.0))
     joints = (
         replace(first, placement=first.placement.at(values, constant), axis=UP, home=0.0),
@@ -206,7 +206,7 @@ def over_pulley(
 
 
 def is_cable(leg: Leg) -> bool:
-    """Return whether a leg is a universal joint and a driven line that counts from its centre."""
+    """Return whether a leg is a universal joint and a driven line that is zero at its centre."""
     kinds = [joint.kind for joint in leg.joints[:4]]
     if kinds != ["revolute", "revolute", "prismatic", "fixed"] or len(leg.joints) > 4:
         return False

@@ -1,8 +1,8 @@
-"""The architectures: which dimensions each has, and how a mechanism is made of them.
+"""The architectures: their dimensions, and the functions that make mechanisms of them.
 
-Hexapods, deltas, five-bars and 3-RRRs are the bundled mechanisms with other dimensions: what the
-parameters of their legs are, where home is, and how far joints go; joints, placements, sensors and
-labels are the bundled ones. Cable robots and arms are built from numbers.
+Hexapods, deltas, five-bars and 3-RRRs are the bundled mechanisms with other parameters, home poses
+and limits of joints; joints, placements, sensors and labels are those of the bundled mechanisms.
+Cable robots and arms are built from numbers.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ Limits = Mapping[str, tuple[float, float]]
 def _resized(
     bundled: str, legs: list[dict[str, float]], home: tuple[float, ...], *limits: Limits
 ) -> Mechanism:
-    """Return a bundled mechanism with other parameters by leg, home pose and limits of joints.
+    """Return a bundled mechanism with other parameters of each leg, home pose and joint limits.
 
-    Limits are by name of a joint, [rad] or [m], once for all legs or for each.
+    ``limits`` are by name of joint, [rad] or [m], once for all legs or once per leg.
     """
     template = load_mechanism(bundled)
     made = template.with_parameters(dict(zip(template.leg_names, legs, strict=True)))
@@ -49,7 +49,7 @@ def _resized(
 
 
 def _hexapod(d: Values) -> Mechanism:
-    """Pairs of base joints at azimuths 0°, 120°, 240°, pairs of platform joints halfway."""
+    """Return a hexapod: base joints in pairs at 0°, 120°, 240°, platform joints halfway."""
     legs = []
     for k in range(6):
         side = 1 - 2 * (k % 2)
@@ -62,7 +62,7 @@ def _hexapod(d: Values) -> Mechanism:
 
 
 def _delta(d: Values) -> Mechanism:
-    """Drives at azimuths 0°, 120°, 240°; the platform hangs below them."""
+    """Return a delta with drives at azimuths 0°, 120°, 240° and the platform below them."""
     sizes = {"OA": d["base_radius"], "l": d["arm"], "L": d["rod"]}
     limits = {"drive": (d["arm_up"], d["arm_down"])}
     made = _resized("delta", [sizes] * 3, (0.0, 0.0, -d["height"]), limits)
@@ -75,7 +75,7 @@ def _delta(d: Values) -> Mechanism:
 
 
 def _linear_delta(d: Values) -> Mechanism:
-    """Towers at azimuths −150°, −30°, 90°; home is the nozzle on the middle of the bed."""
+    """Return a linear delta, towers at azimuths −150°, −30°, 90°, home on the bed's middle."""
     radius, rod, reach = d["delta_radius"], d["rod"], d["delta_radius"] + d["print_radius"]
     if rod <= reach:
         raise MechanismError(
@@ -88,7 +88,7 @@ def _linear_delta(d: Values) -> Mechanism:
 
 
 def _five_bar(d: Values) -> Mechanism:
-    """Motors on x beside the origin, elbows outward; the right leg is the left one's mirror."""
+    """Return a five-bar, symmetric about the y axis, with motors on x and elbows outward."""
     links = {"l": d["driving_link"], "L": d["conducted_link"]}
     x = d["motor_distance"] / 2
     low, high = d["motor_least"], d["motor_most"]
@@ -97,7 +97,7 @@ def _five_bar(d: Values) -> Mechanism:
 
 
 def _3rrr(d: Values) -> Mechanism:
-    """Motors at azimuths −150°, −30°, 90°, platform joints before them at home."""
+    """Return a 3-RRR with motors and, at home, platform joints at azimuths −150°, −30°, 90°."""
     names = {"OA": "base_radius", "ob": "platform_radius", "l": "proximal", "L": "distal"}
     return _resized("3RRR", [{key: d[name] for key, name in names.items()}] * 3, (0.0,) * 3)
 
@@ -145,7 +145,7 @@ _3RRR = (
 
 
 def _printable(d: Values) -> str:
-    """Return the room over the bed."""
+    """Return the ranges of the room over the bed."""
     x = y = f"{-d['print_radius']:g}..{d['print_radius']:g}"
     return f"x={x}, y={y}, z=0..{d['endstop_height']:g}"
 
@@ -155,14 +155,14 @@ _TOWERS = "Linear delta, three carriages on upright towers"
 
 
 def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
-    """Return the joints of a table of Denavit and Hartenberg, the tool's frame last.
+    """Return the joints of a Denavit-Hartenberg table, the tool's frame last.
 
-    Row i of the standard convention is Rz(θ) Tz(d) Tx(a) Rx(α), turned by its joint about z first;
-    of the modified one (Craig) Rx(α) Tx(a) Rz(θ) Tz(d), turned about z behind Tx(a).
+    A row of the standard convention is Rz(θ) Tz(d) Tx(a) Rx(α); its joint turns about z first. A
+    row of the modified convention (Craig) is Rx(α) Tx(a) Rz(θ) Tz(d); its joint turns with Rz(θ).
 
-    The table, a CSV file or pandas DataFrame, is of revolute joints: ``a [mm]``, ``alpha [deg]``,
-    ``d [mm]``, ``theta [deg]`` (where the joint reads zero); if wanted ``lower [deg]`` and
-    ``upper [deg]``, limits.
+    The table, a CSV file or pandas DataFrame, has revolute joints only, with the columns
+    ``a [mm]``, ``alpha [deg]``, ``d [mm]``, ``theta [deg]`` (at zero reading), and optionally
+    the limits ``lower [deg]`` and ``upper [deg]``.
     """
     read = read_table(table)
     units = {"a": "m", "alpha": "rad", "d": "m", "theta": "rad"}
@@ -187,8 +187,8 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
 def _arm(d: Values) -> Mechanism:
     if not is_dataframe(d["dh"]) and not d["dh"]:
         raise MechanismError(
-            "an arm is made of a table of Denavit and Hartenberg (dh); one of a URDF is read by "
-            "'pincal import --tip LINK', or Mechanism.from_urdf"
+            "an arm needs a Denavit-Hartenberg table (dh); to read an arm from a URDF, use "
+            "'pincal import --tip LINK' or Mechanism.from_urdf"
         )
     convention = d["convention"]
     described = f"Serial arm of a table of Denavit and Hartenberg, {convention} convention."
@@ -213,21 +213,21 @@ ARCHITECTURES = {kind.name: kind for kind in _MADE}
 
 
 def new_mechanism(architecture: str, *, name: str = "", **dimensions: Any) -> Mechanism:
-    """Return a mechanism of a data sheet's dimensions: ``new_mechanism("hexapod", height=0.4)``.
+    """Return a mechanism with a data sheet's dimensions: ``new_mechanism("hexapod", height=0.4)``.
 
     Args:
         architecture: ``"hexapod"``, ``"delta"``, ``"linear-delta"``, ``"five-bar"``, ``"3-RRR"``,
             ``"cable-4"``, ``"cable-8"``, or ``"arm"``.
-        name: Of the mechanism; that of the architecture if not given.
-        **dimensions: By name (``pincal new --help`` lists them): lengths [m], angles [rad], texts.
-            Those not given are in proportion to these.
+        name: Name of the mechanism; by default the architecture's.
+        **dimensions: Dimensions by name (``pincal new --help`` lists them): lengths [m], angles
+            [rad], texts. Those not given are in proportion to the others.
 
     Raises:
-        MechanismError: no such architecture or dimension; one that cannot be; dimensions with
-            which a leg does not reach home, or is outside its limits there, or with which the
-            legs do not hold the platform there.
+        MechanismError: an architecture or dimension does not exist, a value is impossible, a leg
+            does not reach home or is outside its limits there, or the legs do not hold the
+            platform there.
         FileError: the table of an arm is missing or cannot be read.
-        MeasurementError: a table of an arm with a column or cell that is missing or wrong.
+        MeasurementError: a column or cell of an arm's table is missing or wrong.
     """
     kind = architecture_of(architecture)
     values = kind.complete(dimensions)
@@ -239,7 +239,7 @@ def new_mechanism(architecture: str, *, name: str = "", **dimensions: Any) -> Me
 
 
 def architecture_of(name: str) -> Architecture:
-    """Return an architecture by its name."""
+    """Return an architecture by its name; capitals, hyphens and underscores do not matter."""
     known = {key.lower().replace("-", ""): kind for key, kind in ARCHITECTURES.items()}
     plain = re.sub("[-_]", "", must_be(name, str, "the architecture", MechanismError).lower())
     if plain not in known:

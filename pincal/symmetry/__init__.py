@@ -1,1 +1,1 @@
-"""Dihedral symmetry: elements and their action, generated mechanisms, detected groups."""
+"""Symmetry: elements and their action on mechanisms, generated mechanisms, detected groups."""

@@ -1,6 +1,6 @@
-"""Elements that leg points suggest, which carry where legs begin and end near one another.
+"""Candidate symmetry elements: isometries that carry the legs' end points near those of others.
 
-And which legs they carry onto which, as these stand.
+Also the permutation of the legs that each element makes.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from pincal.types import Array, Index
 Permutation = tuple[int, ...]
 
 NEARLY = 0.1
-"""Of how far leg points are apart: a symmetry meant, though not kept."""
-_FITTED = 1e-3  # by which fits of one element differ
+"""Largest distance of carried leg points, over their spread, of a symmetry that may be meant."""
+_FITTED = 1e-3  # largest difference between two fits of the same element
 
 
 class LegImages:
-    """Which legs of a mechanism elements carry onto which, and by how much these differ."""
+    """The legs onto which elements carry a mechanism's legs, and how far the images differ."""
 
     def __init__(self, mechanism: Mechanism, readings: bool) -> None:
         self.mechanism, self.readings = mechanism, readings
@@ -36,32 +36,32 @@ class LegImages:
         legs = nominal_legs(mechanism)
         self.shapes = [StandingLeg(leg, self.home, near_home=True) for leg in legs]
         self.base = base = np.array([shape.base for shape in self.shapes])
-        """Where legs begin, base frame, shape (n_legs, 3), [m]."""
+        """Base points of the legs, base frame, shape (n_legs, 3), [m]."""
         points = ([p.placement.xyz for p in leg.points] for leg in mechanism.legs)
         self.platform = np.array([np.mean(of_leg, axis=0) for of_leg in points])
-        """The middle of each leg's platform points, platform frame, shape (n_legs, 3), [m]."""
+        """Mean of each leg's platform points, platform frame, shape (n_legs, 3), [m]."""
         self.at_home = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
         """Platform points in the base frame at home, shape (n_legs, 3), [m]."""
         bodies = base, self.platform
         self.centres = bodies[0].mean(axis=0), bodies[1].mean(axis=0)
-        """Centres of base points and platform points, shape (3,) each, [m]."""
+        """Centres of the base points and of the platform points, shape (3,) each, [m]."""
         spreads = [float(np.linalg.norm(p - p.mean(axis=0), axis=1).max()) for p in bodies]
         longest = float(np.linalg.norm(self.at_home - base, axis=1).max())
         self.size = max(spreads[0], longest) or 1.0
-        """Scale of the mechanism, wherever its frames are, [m]."""
+        """Size of the mechanism, independent of the choice of frames, [m]."""
         first, second = (spread if spread > ALIKE * self.size else 0.0 for spread in spreads)
         self.spreads = first or self.size, second or first or self.size
-        """Largest distance of base points from their centre, and of platform points, [m]."""
-        self._least_rank = mechanism.platform.space - 1  # of points that fix an isometry
+        """Largest distances of the base points and platform points from their centres, [m]."""
+        self._least_rank = mechanism.platform.space - 1  # rank of points that fix an isometry
         turning = bool(mechanism.platform.turns)
         self._free = turning and all(self._rank(p) >= self._least_rank for p in bodies)
 
     @cached_property
     def _joined(self) -> tuple[Array, Index]:
-        """Points that turn together, base frame, (n, 3), and to which leg each belongs; or −1.
+        """Points of one rigid body, base frame, shape (n, 3), and the leg index of each, or −1.
 
-        A platform that does not turn, turns as the base does; else both are one body at home. Where
-        that leaves the axis open, it is home's position, and then the base's z.
+        A platform without rotations is turned as the base is; otherwise base and platform are one
+        body at home. Where these points leave an axis open, home's position and one on z are added.
         """
         legs = np.arange(len(self.base))
         if not self.mechanism.platform.turns:
@@ -78,9 +78,9 @@ class LegImages:
         return points, owners
 
     def fitted(self, images: Sequence[int], legs: Sequence[int], sign: float) -> Element | None:
-        """Return the element that best carries legs onto images, by index; None if one is open.
+        """Return the element that best carries legs onto images, both given by index.
 
-        The sign is 1 of rotations, −1 of reflections.
+        ``sign`` is 1 for a rotation, −1 for a reflection; None if the points fix no isometry.
         """
         space, sources, targets = self.mechanism.platform.space, list(legs), list(images)
         bodies = self.base, self.platform
@@ -102,30 +102,30 @@ class LegImages:
         return Element.of(*(_shifted(base[:3, :3], p[sources], p[targets]) for p in bodies))
 
     def _rank(self, points: Array) -> int:
-        """Return how many directions points span, seen from their centre."""
+        """Return the dimension that points span about their centre."""
         s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         return int(np.count_nonzero(s > ALIKE * self.size))
 
     def distances(self, element: Element) -> Array:
-        """Return how far carried legs' points are from others, over the spreads, shape (n, n)."""
+        """Return distances of carried legs' points from all legs', over the spreads, (n, n)."""
         bodies = (self.base, element.base), (self.platform, element.platform)
         gaps = (np.linalg.norm(applied(G, p)[:, None] - p, axis=2) for p, G in bodies)
         return np.maximum(*(d / spread for d, spread in zip(gaps, self.spreads, strict=True)))
 
     @cached_property
     def _apart(self) -> list[Array]:
-        """How far base points are from each other, and platform points, over their spreads."""
+        """Distances between base points and between platform points, over their spreads, (n, n)."""
         bodies = zip((self.base, self.platform), self.spreads, strict=True)
         return [np.linalg.norm(p[:, None] - p, axis=2) / spread for p, spread in bodies]
 
     @cached_property
     def candidates(self) -> list[Element]:
-        """Elements that carry every leg's points near those of some leg, each once."""
+        """Distinct elements that carry every leg's points near those of some leg."""
         legs, elements = self._references(), [IDENTITY]
         for images in permutations(range(len(self.base)), len(legs)):
             pairs = np.ix_(legs, legs), np.ix_(images, images)
             if max(np.abs(d[pairs[0]] - d[pairs[1]]).max() for d in self._apart) > 2.0 * NEARLY:
-                continue  # distances between them stay
+                continue  # an isometry keeps the distances between points
             for sign in (1.0, -1.0):
                 first = self.fitted(images, legs, sign)
                 if first is None:
@@ -139,7 +139,7 @@ class LegImages:
         return [element for element in elements if self._keeps_freedoms(element)]
 
     def _references(self) -> list[int]:
-        """Return a few legs whose images fix an element, far from each other."""
+        """Return the indices of a few legs, far from each other, whose images fix an element."""
         places = np.hstack((self.base / self.spreads[0], self.platform / self.spreads[1]))
         legs = [0]
         while len(legs) < len(places) and self.fitted(legs, legs, 1.0) is None:
@@ -149,7 +149,7 @@ class LegImages:
         return legs
 
     def _keeps_freedoms(self, element: Element) -> bool:
-        """Return whether the platform's poses are carried to poses that it can have."""
+        """Return whether an element carries poses of the platform to poses that it can have."""
         platform = self.mechanism.platform
         twists = np.random.default_rng(0).uniform(-0.5, 0.5, (3, platform.dof))
         twists[:, : platform.lengths] *= self.size
@@ -160,13 +160,13 @@ class LegImages:
         return bool(np.abs(deviation).max() <= ALIKE)
 
     def home_moves(self, element: Element) -> float:
-        """Return by how much home moves, [m] and [rad] together."""
+        """Return the largest coordinate, [m] or [rad], of the twist from home to its image."""
         platform = self.mechanism.platform
         home = np.array([platform.home])
         return float(np.abs(platform.twists_between(home, element.poses(platform, home))).max())
 
     def standing(self, element: Element) -> list[StandingLeg]:
-        """Return the legs where they are if the platform is where home is carried to."""
+        """Return the legs closed at the image of the home pose."""
         moved, carried = self.home_moves(element), element.matrices(self.home[None])[0]
         if moved <= ROUNDING * self.size:
             return self.shapes
@@ -174,7 +174,7 @@ class LegImages:
         return [StandingLeg(shape.closure, carried, near_home=near) for shape in self.shapes]
 
     def permutation(self, element: Element, tolerance: float) -> Permutation:
-        """Return onto which leg each one is carried within a tolerance; empty if some is not."""
+        """Return the index of each leg's image within a tolerance; empty if a leg has none."""
         count = len(self.shapes)
         if element.is_identity:
             return tuple(range(count))
@@ -188,7 +188,7 @@ class LegImages:
     def exceeding(
         self, index: int, element: Element, image: StandingLeg, tolerance: float
     ) -> Difference | None:
-        """Return the first difference of a leg, by index, carried to its image; None within."""
+        """Return the first difference of a carried leg from its image beyond a tolerance."""
         for difference in differences(self.shapes[index], element, image):
             counts = self.readings or not difference.of_sensor
             if counts and difference.exceeds(tolerance, self.size):
@@ -197,5 +197,5 @@ class LegImages:
 
 
 def _shifted(Q: Array, first: Array, second: Array) -> Array:
-    """Return the isometry of a matrix that takes points' centre to others'."""
+    """Return the isometry with matrix Q that takes the first points' centre to the second's."""
     return isometry(Q, second.mean(axis=0) - Q @ first.mean(axis=0))

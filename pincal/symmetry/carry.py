@@ -1,9 +1,9 @@
-"""A leg carried by an isometry, and mechanisms of one leg that is carried to the others.
+"""Legs carried by symmetry elements, and mechanisms generated from one leg.
 
 Carried joints keep their variables: under a reflection Q every joint frame becomes
 Q R D with the local mirror D = diag(1, −1, 1), a revolute axis a becomes −D a and a
-prismatic one D a. In canonical form axes point to the positive side, and a constant turn about a
-joint's own axis is in its zero (so the γ of the 3-RRR paper's Eq. 19 come about).
+prismatic one D a. In canonical form axes have a positive largest component, and a constant turn
+about a joint's own axis is part of its zero (which gives the γ of the 3-RRR paper's Eq. 19).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pincal.types import Array
 from pincal.words.numbers import listed
 
 LOCAL_MIRROR = np.diag([1.0, -1.0, 1.0])
-#: Components of a point that a coordinate gives.
+#: Components of a point that each kind of coordinate sets.
 _GIVES = {"x": "x", "y": "y", "z": "z", "polar": "xy", "spherical": "xyz"}
 
 
@@ -43,9 +43,9 @@ def _on_body(
     new: dict[str, float],
     context: str,
 ) -> tuple[Placement, Array]:
-    """Return a placement on base or platform after the body's isometry, (4, 4), and its constant.
+    """Return a placement on base or platform after the body's isometry, and its constant part.
 
-    Constants have shape (4, 4). Old values of parameters are known, new ones set.
+    The isometry and constants have shape (4, 4). ``old`` are the parameters before; ``new`` is set.
     """
     result = Placement(_moved_coordinates(p.coordinates, isometry, old, new, context))
     moved = isometry @ p.displacement(old) @ constant
@@ -71,7 +71,7 @@ def _moved_coordinates(
     first = named.index(True) if True in named else 0
     frame, free = coordinates[:first], coordinates[first:]
     if not any(c.turns for c in frame) and not {"polar", "spherical"} & {c.kind for c in free}:
-        frame, free = (), coordinates  # constants first are a frame of turns or of an azimuth
+        frame, free = (), coordinates  # only turns and azimuths need leading constants as a frame
     if frame:
         to_base = Placement(frame).displacement(old)
         G = np.linalg.inv(to_base) @ G @ to_base
@@ -87,7 +87,7 @@ def _moved_coordinates(
 def _moved_point(
     free: tuple[Coordinate, ...], G: Array, old: dict[str, float], context: str
 ) -> Array:
-    """Return where the isometry G, shape (4, 4), takes the point that coordinates give, (3,)."""
+    """Return the image under G, shape (4, 4), of the point that coordinates give, shape (3,)."""
     if turned := [c.kind for c in free if c.turns and not (c.kind == "rz" and c is free[-1])]:
         raise SymmetryError(
             f"{context} cannot carry a placement on the base with a rotation ({turned[0]}); "
@@ -100,14 +100,14 @@ def _moved_point(
     needed = {letter for letter, component in zip("xyz", moved, strict=True) if component}
     missing = sorted(needed.difference(*(_GIVES.get(c.kind, "") for c in free)))
     if free and missing:
-        raise SymmetryError(f"{context} needs a coordinate {missing[0]!r} there")
+        raise SymmetryError(f"{context} needs a coordinate {missing[0]!r} in this placement")
     return moved
 
 
 def _moved_values(
     c: Coordinate, values: list[float], point: Array, G: Array, context: str
 ) -> list[float]:
-    """Return the values of a coordinate that G, shape (4, 4), took, with the point, elsewhere."""
+    """Return a coordinate's values after G, shape (4, 4), took its point to ``point``."""
     if c.kind in ("x", "y", "z"):
         return [float(point["xyz".index(c.kind)])]
     if not (G[:2, 2].any() or G[2, :2].any() or G[:3, 3].any()):
@@ -118,8 +118,8 @@ def _moved_values(
             moved[1] = np.pi - moved[1]
         return moved
     if c.turns:
-        raise SymmetryError(f"{context} turns more than the coordinate {c.kind!r} can say")
-    side = np.sign(values[0]) or 1.0  # of the radius
+        raise SymmetryError(f"{context} turns more than the coordinate {c.kind!r} can express")
+    side = np.sign(values[0]) or 1.0  # sign of the radius
     x, y, z = side * point
     level, azimuth = np.hypot(x, y), float(np.arctan2(y, x))
     if c.kind == "polar":
@@ -128,7 +128,7 @@ def _moved_values(
 
 
 def _set(value: Value, target: float, new: dict[str, float]) -> Value:
-    """Return a constant at its target, or a parameter's name after setting its nominal value."""
+    """Return the target for a constant; for a parameter set it in ``new`` and return the name."""
     target += 0.0  # no negative zero
     if isinstance(value, str):
         new[value] = target
@@ -139,30 +139,30 @@ def _set(value: Value, target: float, new: dict[str, float]) -> Value:
 def carry(leg: Leg, element: Element) -> Leg:
     """Return a leg carried by an element, in canonical form.
 
-    What is on the base follows the base's isometry, platform points the platform's; inside the leg
-    a reflection mirrors geometry.
+    Joints on the base follow the base's isometry and platform points the platform's; within the leg
+    a reflection mirrors the geometry.
 
     Raises:
-        SymmetryError: a placement whose coordinates cannot express the carried leg, or parameters
-            that have terms.
+        SymmetryError: the coordinates of a placement cannot express the carried leg, or parameters
+            have terms.
     """
     if varying := [parameter for parameter, term in leg.terms if term.of != LOAD]:
         raise SymmetryError(
-            f"{leg.name}: {listed(varying)} have terms, of which the {element} may make others; "
-            "carry the leg without them, and give them to the legs that it becomes"
+            f"{leg.name}: {listed(varying)} have terms, which the {element} may change; carry the "
+            "leg without terms, and give them to the carried legs"
         )
     old, new = leg.nominal_by_name, dict(leg.parameters)
     local = LOCAL_MIRROR if element.reflection else np.eye(3)
     on_base = {leg.joints[i].name for i in np.flatnonzero(np.less(leg.carriers, 0))}
 
     def carried(joint: Joint, closes: object = None) -> Joint:
-        """Return a joint of the leg, carried, or a platform point, where it closes something."""
+        """Return a carried joint of the leg, or, if ``closes`` is given, a platform point."""
         context = f"{leg.name}, joint {joint.name!r}"
         constant = joint.placement.rest(old, context).copy()
         if closes or joint.name in on_base:
             body, context = element.bodies[1 if closes else 0], f"{context}: the {element}"
             moved, residual = _on_body(joint.placement, body, constant, old, new, context)
-            if closes == "point":  # its frame has no meaning
+            if closes == "point":  # the orientation of a point has no meaning
                 residual[:3, :3] = constant[:3, :3]
         else:
             coordinates = joint.placement.coordinates
@@ -184,7 +184,7 @@ def carry(leg: Leg, element: Element) -> Leg:
 
 
 def canonical(leg: Leg) -> Leg:
-    """Return the same leg with positive axes and no constant turn about a joint's own axis."""
+    """Return an equal leg with positive axes and no constant turns about joints' own axes."""
     parameters, joints = leg.nominal_by_name, []
     sensors = {sensor.joint: sensor for sensor in leg.sensors}
     followed = {joint.follows.joint for joint in leg.articulated if joint.follows}
@@ -206,7 +206,7 @@ def canonical(leg: Leg) -> Leg:
 def _flip_axis(
     joint: Joint, sensor: Sensor | None, parameters: dict[str, float]
 ) -> tuple[Joint, Sensor | None]:
-    """Return a joint with its axis to the positive side, and its sensor."""
+    """Return a joint whose axis has a positive largest component, and its sensor."""
     axis = np.array(joint.axis)
     if axis[np.argmax(np.abs(axis))] > 0:
         return joint, sensor
@@ -218,7 +218,7 @@ def _flip_axis(
         if sensor.form == "joint":
             offset = _negative(offset, parameters, parameters)
         for amplitude in {term.parameter for term in sensor.terms if term.of != LOAD}:
-            parameters[amplitude] = 0.0 - parameters[amplitude]  # loads turn over themselves
+            parameters[amplitude] = 0.0 - parameters[amplitude]  # loads change sign by themselves
         zero = zero if isinstance(zero, str) else 0.0 - zero
         sensor = replace(sensor, direction=-sensor.direction, zero=zero, offset=offset)
     return joint, sensor
@@ -227,7 +227,7 @@ def _flip_axis(
 def _absorb_turn(
     joint: Joint, sensor: Sensor | None, parameters: dict[str, float], name: str
 ) -> tuple[Joint, Sensor | None]:
-    """Return a joint, and its sensor, with a constant turn about its own axis in its zero."""
+    """Return a joint and its sensor after a constant turn about its own axis went to its zero."""
     constant = joint.placement.rest(parameters, name).copy()
     axis = np.array(joint.axis)
     if joint.kind != "revolute" or not np.allclose(constant[:3, :3] @ axis, axis, atol=ROUNDING):
@@ -236,7 +236,7 @@ def _absorb_turn(
     if abs(turn) < 1e-15:
         return joint, sensor
     constant[:3, :3] = np.eye(3)
-    if sensor is None or isinstance(sensor.zero, str):  # home turns along
+    if sensor is None or isinstance(sensor.zero, str):  # the zero is home, which turns along
         turn = wrapped(joint.home + turn) - joint.home
     elif sensor.form == "joint":
         offset = _number(sensor.offset, parameters)
@@ -261,12 +261,12 @@ def _mirrored(c: Coordinate, old: dict[str, float], new: dict[str, float]) -> Co
     """Return a coordinate within the leg after the local mirror."""
     if c.kind in ("x", "z", "ry"):
         return c
-    # of polar and spherical ones the azimuth turns over
+    # the azimuth of polar and spherical coordinates changes sign
     return Coordinate(c.kind, (*c.values[:-1], _negative(c.values[-1], old, new)))
 
 
 def _negative(value: Value, old: dict[str, float], new: dict[str, float]) -> Value:
-    """Return minus a constant, or a parameter's name after its nominal value is turned over."""
+    """Return minus a constant; for a parameter set minus its value and return the name."""
     return _set(value, -_number(value, old), new)
 
 
@@ -282,27 +282,27 @@ def generate(
     description: str = "",
     labels: Mapping[str, str] | None = None,
 ) -> Mechanism:
-    """Return the mechanism whose legs are one carried by the elements, the identity first.
+    """Return the mechanism whose legs are the images of one leg under the elements.
 
     Legs are named ``leg_1``, ``leg_2``, …; platform points whose names end in ``_1`` are numbered
-    alike. The leg's home may be rough: legs are closed at the platform's home pose, on its side.
+    likewise. The leg's home may be rough: legs are closed at the platform's home, on its side.
 
     Args:
         name: Name of the mechanism.
         leg: The leg that is carried, in the base frame.
         elements: Elements of the symmetry group, the identity first.
         platform: The platform, with its home pose.
-        description: What the mechanism is, in a sentence.
-        labels: What parameters are, for people, by the parameter's name.
+        description: Description of the mechanism in a sentence.
+        labels: Descriptions of parameters for people, by name.
 
     Raises:
         MechanismError: a leg does not close at the home pose.
-        SymmetryError: a placement whose coordinates cannot express a carried leg.
+        SymmetryError: the coordinates of a placement cannot express a carried leg.
     """
     closed = at_home(leg, platform)
 
     def numbered(number: int, joint: Joint) -> Joint:
-        """Return a platform point with the number of its leg."""
+        """Return a platform point whose name has the number of its leg."""
         name = joint.name
         return replace(joint, name=f"{name[:-2]}_{number}") if name.endswith("_1") else joint
 
@@ -319,7 +319,7 @@ def at_home(leg: Leg, platform: Platform) -> Leg:
     """Return the leg with its home closed at the platform's home pose.
 
     Raises:
-        MechanismError: it does not close there in the working mode of its rough home.
+        MechanismError: the leg does not close there in the working mode of its rough home.
     """
     closed = close((LegClosure(leg, platform),), platform.home_pose.as_matrix())
     if not closed.reached[0]:

@@ -1,8 +1,8 @@
-"""The symmetry group of a mechanism, detected from geometry, limits, working modes, sensors.
+"""Detection of a mechanism's symmetry group from geometry, limits, working modes and sensors.
 
-Elements that leg points suggest, and that carry every leg onto a leg within a tolerance, are looked
-at together: the group is the largest closed subset, with isometries that are exact, and each
-element is measured again with these. What keeps others out of it is told by name.
+The candidates are elements that carry every leg onto a leg within a tolerance. The group is their
+largest closed subset, with isometries made exact; each element is then checked again with these.
+For every other element that leg points suggest, the difference that breaks it is named.
 """
 
 from __future__ import annotations
@@ -42,35 +42,35 @@ from pincal.symmetry.shapes import HOME, Difference, no_symmetries
 
 @dataclass(frozen=True, repr=False)
 class SymmetryGroup:
-    """Elements that leave a mechanism as it is, and where they carry its legs: a group."""
+    """Group of the elements that leave a mechanism unchanged, with their permutations of legs."""
 
     mechanism: Mechanism
     elements: tuple[Element, ...]
-    """The identity first."""
+    """Elements of the group, the identity first."""
     permutations: tuple[Permutation, ...]
-    """For each element: index of the leg onto which each leg is carried."""
+    """For each element, the index of the leg onto which each leg is carried."""
     tolerance: float = 1e-6
-    """Within which it was found."""
+    """Tolerance of the detection, relative to the size for lengths, [rad] for angles."""
     readings: bool = True
-    """Whether sensors were compared too: if not, legs move alike and may read differently."""
+    """Whether sensors were compared too; if not, legs move alike but may read differently."""
 
     @cached_property
     def breaks(self) -> tuple[Difference, ...]:
-        """Why the other elements that the leg points suggest fail."""
+        """First difference that breaks each of the other elements that the leg points suggest."""
         fits, breaks = LegImages(self.mechanism, self.readings), []
         for element in sorted(_meant(fits), key=place_of):
             if any(np.abs(element.matrix - e.matrix).max() < NEARLY for e in self.elements):
                 continue
             turned_over = self.mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
             if turned_over and fits.home_moves(element) > NEARLY * fits.size:
-                continue  # a machine upside down is not what was meant
+                continue  # a machine upside down is no intended symmetry
             if broken := _first_break(fits, element, self.tolerance):
                 breaks.append(broken)
         return tuple(breaks)
 
     @cached_property
     def name(self) -> str:
-        """Name of the group: D_2n with its order 2n, C_n of rotations only, or what it has."""
+        """Name of the group: D_2n of order 2n, C_n of rotations only, or a count of elements."""
         return group_name(self.elements)
 
     def subgroups(self) -> tuple[SymmetryGroup, ...]:
@@ -79,25 +79,25 @@ class SymmetryGroup:
         return tuple(self.part(sorted(indices)) for indices in reversed(closed))
 
     def part(self, indices: Sequence[int]) -> SymmetryGroup:
-        """Return the group of some elements, by index; they are closed."""
+        """Return the subgroup of the elements with some indices, which must be closed."""
         elements = tuple(self.elements[i] for i in indices)
         permutations = tuple(self.permutations[i] for i in indices)
         return SymmetryGroup(self.mechanism, elements, permutations, self.tolerance, self.readings)
 
     @property
     def leg_orbits(self) -> tuple[tuple[str, ...], ...]:
-        """Names of legs that the elements carry onto each other, orbit by orbit."""
+        """Orbits: names of the legs that the elements carry onto each other."""
         names = self.mechanism.leg_names
         orbits = [sorted({p[i] for p in self.permutations}) for i in range(len(names))]
         return tuple(dict.fromkeys(tuple(names[i] for i in orbit) for orbit in orbits))
 
     def carriers(self, leg: str | None = None) -> tuple[Element, ...]:
-        """Return G_C: for each leg, an element that carries one onto it (3-RRR paper, Eq. 7).
+        """Return G_C, an element that carries one leg onto each leg (3-RRR paper, Eq. 7).
 
-        Of leg 1, which must be carried onto every leg; of another one, for the legs of its orbit.
+        Leg 1 must be carried onto every leg; another leg only onto the legs of its orbit.
 
         Raises:
-            SymmetryError: some leg cannot be reached from leg 1.
+            SymmetryError: no element carries leg 1 onto some leg.
         """
         names = self.mechanism.leg_names
         first = names.index(leg) if leg is not None else 0
@@ -110,14 +110,14 @@ class SymmetryGroup:
             raise SymmetryError(
                 f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {missed}"
                 f"{broken and f' ({broken})'}. "
-                "Choose poses for each leg on its own (--protocol independent)"
+                "Choose poses for each leg separately (--protocol independent)"
             )
         return tuple(carriers[index] for index in sorted(carriers))
 
     def equivariance(self, poses: Poses) -> float:
         """Return the largest |reading of a carried leg at carried poses − reading| (Eq. 5).
 
-        Poses are in reach. The identity carries nothing.
+        All poses must be within reach. It is 0 if the identity is the only element.
         """
         if len(self.elements) == 1:
             return 0.0
@@ -134,18 +134,18 @@ class SymmetryGroup:
         return f"SymmetryGroup: {self.name} of {self.mechanism.name}, {count} element(s)"
 
     def __str__(self) -> str:
-        """Return a page: the elements, and what breaks the others."""
+        """Return a text with the elements, and a line for each broken symmetry."""
         broken = (f"  no symmetry: {sentence}" for sentence in no_symmetries(self.breaks))
         return "\n".join((f"{self.name}: {', '.join(map(str, self.elements))}", *broken))
 
 
-_WITHIN, _WRITTEN, _ROUNDED = 1e-6, range(5, 9), 4.0  # tolerance; digits; times their rounding
+_WITHIN, _WRITTEN, _ROUNDED = 1e-6, range(5, 9), 4.0  # tolerance; digits; tolerance in roundings
 
 
 def written_within(mechanism: Mechanism) -> float:
-    """Return the tolerance that parameters leave which were written with 5 to 8 digits.
+    """Return the tolerance that allows for the rounding of parameters with 5 to 8 digits.
 
-    Four roundings, of a metre or [rad], or 1e-6; numbers of fewer digits are meant as they are.
+    It is four rounding errors, [m] or [rad], at least 1e-6. Fewer digits count as exact numbers.
     """
     values = [Decimal(repr(v)).normalize() for leg in mechanism.legs for v in leg.nominal.tolist()]
     digits = max((len(v.as_tuple().digits) for v in values if v), default=0)
@@ -163,9 +163,8 @@ def symmetry_group(
     Args:
         mechanism: The mechanism.
         tolerance: Largest deviation, relative to the mechanism's size for lengths, [rad] for
-            angles; 1e-6 if not given, or what the digits leave that parameters were written with.
-        readings: Whether readings follow too; if not, gains, offsets and zeros of sensors are not
-            compared.
+            angles; by default 1e-6, or more if the digits of the parameters require it.
+        readings: Whether to compare the gains, offsets and zeros of sensors too.
     """
     mechanism = as_mechanism(mechanism)
     tolerance = written_within(mechanism) if tolerance is None else tolerance
@@ -174,7 +173,7 @@ def symmetry_group(
 
 @lru_cache(maxsize=64)
 def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGroup:
-    """Return the symmetry group of a mechanism, found once."""
+    """Return the symmetry group of a mechanism, cached: see ``symmetry_group``."""
     fits = LegImages(mechanism, readings)
     permuted = {e: p for e in fits.candidates if (p := fits.permutation(e, tolerance))}
     elements, permutations = list(permuted), list(permuted.values())
@@ -193,9 +192,9 @@ def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGr
 
 
 def _meant(fits: LegImages) -> list[Element]:
-    """Return a group that leg points suggest, with exact isometries.
+    """Return a group of elements that leg points suggest, with exact isometries.
 
-    About the base's z axis as drawn if that is nearly as good: a fit spreads what one leg is off.
+    Elements about the base's z axis are preferred if nearly as good: a fit spreads one leg's error.
     """
     elements = fits.candidates
     labels = [tuple(linear_sum_assignment(fits.distances(e))[1].tolist()) for e in elements]
@@ -213,7 +212,7 @@ def _meant(fits: LegImages) -> list[Element]:
 
 
 def _about_z(element: Element) -> Element | None:
-    """Return the element about the base's z axis that is near one, or None if none is."""
+    """Return the element about the base's z axis that is near another element, or None."""
     Q = element.matrix
     side = np.sign(np.linalg.det(Q[:2, :2]))
     turn = Element(float(np.arctan2(Q[1, 0], Q[0, 0])), bool(side < 0.0)).matrix.copy()
@@ -224,7 +223,7 @@ def _about_z(element: Element) -> Element | None:
 
 
 def _first_break(fits: LegImages, element: Element, tolerance: float) -> Difference | None:
-    """Return what breaks an element first, by the names of parameters where they can say it."""
+    """Return the first difference that breaks an element, in a parameter where possible."""
     legs, size = fits.mechanism.legs, fits.size
     moves = fits.home_moves(element) > tolerance * max(1.0, size)
     standing = fits.standing(element)
@@ -244,10 +243,10 @@ def _first_break(fits: LegImages, element: Element, tolerance: float) -> Differe
 
 
 def _named(fits: LegImages, leg: Leg, element: Element, image: Leg) -> Iterator[Difference]:
-    """Yield in which parameters and constants a carried leg differs, as far as drawings say it."""
+    """Yield differences of a carried leg's parameters and constants from those of its image."""
     try:
         carried, drawn = carry(leg, element), canonical(image)
-    except SymmetryError:  # its coordinates cannot say it
+    except SymmetryError:  # the leg's coordinates cannot express its image
         return
     if carried.parameter_names != drawn.parameter_names or carried.active != drawn.active:
         return

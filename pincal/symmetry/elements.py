@@ -1,9 +1,9 @@
-"""Elements of symmetry, an isometry of the base and one of the platform, and groups of them.
+"""Symmetry elements, pairs of isometries of base and platform, and groups of them.
 
-A pose T = T_base_platform goes to G_base T G_platform⁻¹. If base and platform are drawn about the
-axis of symmetry, both isometries are the same rotation about z or reflection through it (3-RRR
-paper, Eq. 5). Elements that were found one at a time, each within a tolerance, need not be a group:
-products of what they are meant to be decide which are, and averaging over the group makes their
+An element takes a pose T = T_base_platform to G_base T G_platform⁻¹. If base and platform are drawn
+about the axis of symmetry, both isometries are the same rotation about z or reflection through it
+(3-RRR paper, Eq. 5). Elements that were found separately, each within a tolerance, need not form a
+group: a table of their nearest products decides which do, and averaging over the group makes their
 isometries exact (K. Grove, H. Karcher, E. Ruh, Math. Annalen 211, 1974).
 """
 
@@ -19,10 +19,10 @@ from pincal.model.checks import EXACT, ROUNDING, count_of
 from pincal.model.platform import Platform, Poses
 from pincal.types import Array, Index
 
-SAME = EXACT  # angles, [rad], and positions relative to their extent that differ by rounding only
-_NEAREST = 0.25  # how far a product may be from the element that it is meant to be, |Q − Q'|
-_ROUNDS = 8  # of averaging: each squares the error
-_NAMED = 1e-6  # within which mirrors go through the main axis
+SAME = EXACT  # largest difference by rounding, of angles [rad] and of positions over their extent
+_NEAREST = 0.25  # largest distance |Q − Q'| of a product from the element that it stands for
+_ROUNDS = 8  # rounds of averaging; each squares the error
+_NAMED = 1e-6  # tolerance within which mirrors contain the main axis
 
 
 def isometry(Q: Array, t: Array | float = 0.0) -> Array:
@@ -33,31 +33,31 @@ def isometry(Q: Array, t: Array | float = 0.0) -> Array:
 
 
 def applied(G: Array, points: Array) -> Array:
-    """Return where an isometry, shape (4, 4), takes points, shape (N, 3), [m]."""
+    """Return the images of points, shape (N, 3), [m], under an isometry, shape (4, 4)."""
     return points @ G[:3, :3].T + G[:3, 3]
 
 
 def same(first: Array, second: Array, within: float = SAME) -> bool:
-    """Return whether two isometries are the same but for errors within a part of their size."""
+    """Return whether two isometries are equal within a tolerance relative to their size."""
     difference = np.abs(first - second)
     size = max(1.0, float(np.abs(first[:3, 3]).max()))
     return bool(difference[:3, :3].max() <= within and difference[:3, 3].max() <= within * size)
 
 
 class Element:
-    """Isometry of the base, and one of the platform, under which a mechanism may be as it was.
+    """Pair of isometries, of base and platform, under which a mechanism may be unchanged.
 
-    By angle alone, [rad], both are a rotation about z, or a reflection through a plane that holds
-    z: a rotation takes an azimuth β to β + angle, a reflection to angle − β, so the mirror plane is
-    at angle / 2. ``Element.of`` takes any other isometries.
+    ``Element(angle)``, [rad], is a rotation about z, or a reflection through a plane that contains
+    z, of both: a rotation takes an azimuth β to β + angle, a reflection to angle − β, so the mirror
+    plane is at angle / 2. ``Element.of`` takes any other isometries.
     """
 
     base: Array
-    """What it does to the base frame, shape (4, 4)."""
+    """Isometry of the base, in the base frame, shape (4, 4)."""
     platform: Array
-    """What it does to the platform frame, shape (4, 4)."""
+    """Isometry of the platform, in the platform frame, shape (4, 4)."""
     reflection: bool
-    """Whether it reflects: rotations do not."""
+    """Whether the isometries are reflections."""
 
     def __init__(self, angle: float, reflection: bool = False) -> None:
         cos, sin, side = np.cos(angle), np.sin(angle), -1.0 if reflection else 1.0
@@ -67,16 +67,16 @@ class Element:
 
     @classmethod
     def of(cls, base: Array, platform: Array) -> Element:
-        """Return the element of two isometries, (4, 4), by angle alone if that is the same.
+        """Return the element of two isometries, (4, 4), in the form of an angle if possible.
 
         Raises:
-            SymmetryError: one reflects and the other does not: no pose would be carried to a pose.
+            SymmetryError: only one isometry is a reflection, which would carry poses to no poses.
         """
         reflection = bool(np.linalg.det(base[:3, :3]) < 0.0)
         if reflection != (np.linalg.det(platform[:3, :3]) < 0.0):
             raise SymmetryError(
-                "an element that reflects the base reflects the platform too; only one of the two "
-                "isometries does"
+                "only one of the two isometries is a reflection; expected both, of base and "
+                "platform, or none"
             )
         element = cls(float(np.arctan2(base[1, 0], base[0, 0])), reflection)
         if not all(same(element.base, G, ROUNDING) for G in (base, platform)):
@@ -85,7 +85,7 @@ class Element:
 
     @staticmethod
     def mirror(azimuth: float) -> Element:
-        """Return the reflection through the plane that holds z at an azimuth, [rad]."""
+        """Return the reflection through the plane that contains z at an azimuth, [rad]."""
         return Element(wrapped(2 * azimuth), reflection=True)
 
     @property
@@ -104,7 +104,7 @@ class Element:
         return self.bodies[:, :3, :3]
 
     def after(self, first: Element) -> Element:
-        """Return the composition, this one last."""
+        """Return the composition of ``first`` and then this element."""
         return Element.of(*(self.bodies @ first.bodies))
 
     def inverse(self) -> Element:
@@ -112,27 +112,27 @@ class Element:
         return Element.of(*(isometry(G[:3, :3].T, -G[:3, :3].T @ G[:3, 3]) for G in self.bodies))
 
     def equals(self, second: Element) -> bool:
-        """Return whether two elements are the same but for rounding errors."""
+        """Return whether two elements are equal up to rounding errors."""
         return same(self.base, second.base) and same(self.platform, second.platform)
 
     @property
     def is_identity(self) -> bool:
-        """Whether it leaves everything where it is."""
+        """Whether the element is the identity up to rounding errors."""
         return self.equals(IDENTITY)
 
     def matrices(self, matrices: Array) -> Array:
-        """Return where poses ``T_base_platform``, shape (N, 4, 4), go: G_base T G_platform⁻¹."""
+        """Return the images G_base T G_platform⁻¹ of poses T_base_platform, shape (N, 4, 4)."""
         return np.asarray(self.base @ matrices @ self.inverse().platform)
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
-        """Return where poses go, coordinates of shape (N, dof)."""
+        """Return the images of poses as coordinates, shape (N, dof)."""
         return platform.from_matrices(self.matrices(platform.matrices(poses)))
 
     def positions(self, rotations: Array, slack: float = 0.0) -> Array | None:
-        """Return what it does to positions in some orientations, (N, 3, 3), or None.
+        """Return the isometry of the platform's positions in some orientations, (N, 3, 3), or None.
 
-        r → Q r + t − R' s, s the shift of the platform's isometry: R' s must be one and the same
-        but for slack, [m], such as if the platform's frame is on its axis.
+        Positions go to Q r + t − R' s, with s the shift of the platform's isometry. It is an
+        isometry if R' s is the same in all orientations within ``slack``, [m].
         """
         Q, shift = self.matrix, self.platform[:3, 3]
         if not shift.any():
@@ -184,25 +184,25 @@ def wrapped(angle: float) -> float:
 
 
 def cyclic(n: int) -> tuple[Element, ...]:
-    """Return C_n: the n rotations about z, the identity first."""
+    """Return C_n, the n rotations about z, the identity first."""
     n = count_of(n, "the order of rotation", SymmetryError)
     return tuple(Element(wrapped(2 * np.pi * k / n)) for k in range(n))
 
 
 def dihedral(n: int, azimuth: float = 0.0) -> tuple[Element, ...]:
-    """Return D_2n: n rotations about z, then n reflections through planes that hold z.
+    """Return D_2n: n rotations about z, then n reflections through planes that contain z.
 
     Args:
         n: Number of rotations, and of mirrors.
-        azimuth: Of the first mirror plane, [rad]; the others follow every half turn over n.
+        azimuth: Azimuth of the first mirror plane, [rad]; the others follow in steps of π / n.
     """
     return cyclic(n) + tuple(Element.mirror(azimuth + np.pi * k / n) for k in range(n))
 
 
 def product_table(elements: Sequence[Element], labels: Sequence[Sequence[int]] = ()) -> Index:
-    """Return the index of each product, first the column's element, then the row's; or −1.
+    """Return the index of each product, the row's element after the column's; −1 if none is near.
 
-    Labels tell nearly equal elements apart: indices, such as where they carry legs.
+    ``labels`` are permutations, such as of the legs, that tell nearly equal elements apart.
     """
     turns = np.array([e.turns for e in elements])
     products = turns[:, None] @ turns
@@ -215,7 +215,7 @@ def product_table(elements: Sequence[Element], labels: Sequence[Sequence[int]] =
 
 
 def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]:
-    """Return the indices of elements that are meant to be different, the first of each."""
+    """Return the indices of distinct elements, the first of each; labels keep equal ones apart."""
     turns, chosen = np.array([e.turns for e in elements]), list[int]()
     for index, label in enumerate(labels):
         labelled = turns[[i for i in chosen if labels[i] == label]]
@@ -226,7 +226,7 @@ def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]
 
 
 def generated(table: Index, seeds: Iterable[int]) -> frozenset[int] | None:
-    """Return the indices that some elements generate, or None if a product is missing."""
+    """Return the indices that the elements of ``seeds`` generate; None if a product is missing."""
     members = list(dict.fromkeys((0, *seeds)))
     for a in members:
         for b in tuple(members):
@@ -239,7 +239,7 @@ def generated(table: Index, seeds: Iterable[int]) -> frozenset[int] | None:
 
 
 def subgroups(table: Index) -> list[frozenset[int]]:
-    """Return all closed subsets, the smallest first: joins of what single elements generate."""
+    """Return all closed subsets, the smallest first, as joins of those of single generators."""
     single = [generated(table, [a]) for a in range(len(table))]
     closed = {subset for subset in single if subset is not None}
     fresh = set(closed)
@@ -251,12 +251,12 @@ def subgroups(table: Index) -> list[frozenset[int]]:
 
 
 def largest_closed(table: Index) -> list[int]:
-    """Return the indices of the largest closed subset, in order; the identity is index 0."""
+    """Return the sorted indices of the largest closed subset; the identity has index 0."""
     return sorted(generated(table, range(len(table))) or subgroups(table)[-1])
 
 
 def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float) -> list[Element]:
-    """Return the elements of a group, the identity first, that are one to rounding errors.
+    """Return nearly closed elements, the identity first, as a group exact to rounding errors.
 
     Centres, (3,), are near fixed points of the isometries of base and platform; the size is [m].
     """
@@ -264,17 +264,17 @@ def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float
     bodies = np.stack([element.bodies for element in elements], axis=1)
     for isometries, centre in zip(bodies, centres, strict=True):
         turns = isometries[:, :3, :3]
-        for _ in range(_ROUNDS):  # Q by averaging Q(gh) Q(h)ᵀ
+        for _ in range(_ROUNDS):  # Q(g) is the average of Q(gh) Q(h)ᵀ over h
             U, _, Vt = np.linalg.svd(np.einsum("ghij,hkj->gik", turns[table], turns))
             turns = U @ Vt
         turns[0] = np.eye(3)
-        for _ in range(2):  # t by a fixed point
+        for _ in range(2):  # t follows from a fixed point
             centre = np.mean([applied(G, centre) for G in isometries], axis=0)
-        centre = centre - (turns @ centre).mean(axis=0)  # less what no element moves
+        centre = centre - (turns @ centre).mean(axis=0)  # without the part that no element moves
         if np.linalg.norm(centre) <= SAME * size:
             centre = np.zeros(3)
         if max(np.abs(turns[:, :2, 2]).max(), np.abs(turns[:, 2, :2]).max()) <= SAME:
-            # about z to rounding: z stays, or turns over, exactly
+            # up to rounding about z: z is kept, or reversed, exactly
             turns[:, :2, 2] = turns[:, 2, :2] = 0.0
             turns[:, 2, 2] = np.sign(turns[:, 2, 2])
         parts.append([isometry(Q, centre - Q @ centre) for Q in turns])
@@ -282,9 +282,9 @@ def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float
 
 
 def group_name(elements: Sequence[Element]) -> str:
-    """Return the name of a group: C_n of n rotations about an axis, D_2n if n mirrors too.
+    """Return the name of a group: C_n of n rotations about an axis, D_2n with n mirrors too.
 
-    Of others, how many rotations, the identity among them, and reflections.
+    Any other group is named by its numbers of rotations, the identity included, and reflections.
     """
     rotations = np.array([e.matrix for e in elements if not e.reflection])
     mirrored = np.array([-e.matrix for e in elements if e.reflection]).reshape(-1, 3, 3)
@@ -293,7 +293,7 @@ def group_name(elements: Sequence[Element]) -> str:
     if order == len(rotations):
         if not len(mirrored):
             return f"C{order}"
-        # mirrors are half turns times −1, about their normals, which lie across the main axis
+        # mirrors are −1 times half turns about their normals, perpendicular to the main axis
         normals = Rotation.from_matrix(mirrored).as_rotvec() / np.pi
         axes = Rotation.from_matrix(rotations).as_rotvec()
         through = np.abs(np.linalg.norm(normals, axis=1) - 1.0).max() <= _NAMED
@@ -303,7 +303,7 @@ def group_name(elements: Sequence[Element]) -> str:
 
 
 def place_of(element: Element) -> tuple[bool, bool, float]:
-    """Return what orders elements: rotations before reflections, about z before others."""
+    """Return the sorting key of elements: rotations before reflections, about z before others."""
     angle = float(np.arctan2(element.matrix[1, 0], element.matrix[0, 0])) % (2 * np.pi)
     tilted = not element.is_identity and abs(element.matrix[2, 2] - 1.0) > 1e-6
     return element.reflection, tilted, round(angle, 6) % round(2 * np.pi, 6)

@@ -1,9 +1,9 @@
-"""A leg as it stands in the world, and in what a carried one differs from another.
+"""Shape of a leg in the base frame, and the differences between a carried leg and another.
 
-A leg closed at a pose is the lines of its joints there, and the point where it meets the platform,
-in whatever frames it was drawn. A carried leg is like another one if that has the same lines when
-it is closed, in its working mode, at the carried pose; if its joints may go as far from there; and
-if its sensors read the same.
+A leg closed at a pose is described by the axes of its joints and the point where it meets the
+platform, independently of the frames in which it was drawn. A carried leg equals another leg if
+that, closed at the carried pose in its working mode, has the same axes, if its joints may move as
+far from there, and if its sensors read the same.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pincal.words.numbers import POSES, amount, listed
 HOME = "home pose"
 HOME_MOVES = "the home pose, from which sensors count, is carried elsewhere"
 _READINGS = np.linspace(-1.0, 1.0, 7)
-"""How far from where a leg stands its sensors are compared, [rad], or of its size."""
+"""Distances from the leg's position at which sensors are compared, [rad], or over its size."""
 
 
 @dataclass(frozen=True)
@@ -40,28 +40,28 @@ class Difference:
 
     quantity: str
     deviation: float | None
-    """By how much, in the unit; None where it is no number."""
+    """Size of the difference, in the unit; None where it is not a number."""
     unit: str = "1"
-    """m, rad or 1."""
+    """Unit of the deviation: m, rad or 1."""
     of_sensor: bool = False
-    """Whether it is of a sensor: the legs move alike, their readings differ."""
+    """Whether only the sensors differ: the legs move alike, their readings differ."""
     element: Element | None = None
-    """The element that it keeps out of a group."""
+    """The element that the difference keeps out of a group."""
     leg: str = ""
-    """The leg onto which another one should have been carried."""
+    """Name of the leg onto which the element should have carried another leg."""
 
     def exceeds(self, tolerance: float, size: float) -> bool:
-        """Return whether it is more than a tolerance, relative to a size [m] for lengths."""
+        """Return whether it exceeds a tolerance, relative to a size [m] for lengths."""
         scale = size if self.unit == "m" else 1.0
         return self.deviation is None or not self.deviation <= tolerance * scale
 
     def __str__(self) -> str:
-        """Return what keeps an element out of a group as a sentence."""
+        """Return a sentence that says why the element is no symmetry."""
         return no_symmetries([self])[0]
 
 
 def no_symmetries(breaks: Sequence[Difference]) -> list[str]:
-    """Return sentences that say what keeps elements out of a group, one for each reason."""
+    """Return sentences that say why elements are no symmetries, one for each reason."""
     by_reason: dict[str, list[Difference]] = {}
     for broken in breaks:
         reason = broken.quantity
@@ -79,10 +79,10 @@ def no_symmetries(breaks: Sequence[Difference]) -> list[str]:
 
 
 class StandingLeg:
-    """A leg closed at a pose, in the base frame: joints are all that move, geared ones too."""
+    """A leg closed at a pose, in the base frame; its joints are all that move, geared ones too."""
 
     def __init__(self, closure: LegClosure, matrix: Array, *, near_home: bool) -> None:
-        """Close a leg at a pose, shape (4, 4); near the home pose as it stands there."""
+        """Close a leg at a pose, shape (4, 4), from its home joints if that is near home."""
         self.closure, leg = closure, closure.leg
         closed = close((closure,), matrix[None], near=leg.home[None] if near_home else None)
         self.reached = near_home or bool(closed.reached[0])
@@ -91,7 +91,7 @@ class StandingLeg:
         names = [joint.name for joint in self.joints]
         by_name = dict(zip((joint.name for joint in leg.moving), moved[0], strict=True))
         self.positions = np.array([joint.position(by_name) for joint in self.joints])
-        """Of the joints, shape (n_joints,), [rad] or [m]."""
+        """Positions of the joints, shape (n_joints,), [rad] or [m]."""
         self.active = [names.index(sensor.joint) for sensor in leg.sensors]
         links, space = leg.link_placements(moved)[0], closure.platform.space
         frames = links[[leg.index(name) for name in names]]
@@ -100,17 +100,17 @@ class StandingLeg:
         """Unit vectors of the joints' axes, shape (n_joints, 3)."""
         ends = [leg.index(end.tip) for end in leg.every_end if end.point]
         self.tips: Array = links[ends, :3, 3] * (np.arange(3) < space)
-        """Where the leg meets the platform, shape (n_ends, 3), [m]."""
+        """Points where the leg meets the platform, shape (n_ends, 3), [m]."""
         self.tip: Array = self.tips.mean(axis=0)
-        """The middle of these, shape (3,), [m]."""
+        """Mean of the tips, shape (3,), [m]."""
         self.ends = [point.name for point in leg.points]
-        """Names of the platform points that it meets there."""
+        """Names of the platform points at the tips."""
         turns = np.array([[joint.turns] for joint in self.joints])
         along = ((self.tip - frames[:, :3, 3]) * self.directions).sum(axis=1, keepdims=True)
         nearest = (frames[:, :3, 3] + along * self.directions) * (np.arange(3) < space)
         self.points = np.where(turns, nearest, self.tip)
-        """On each joint's axis the point nearest to the tip, shape (n_joints, 3), [m]; before a
-        pointing joint to its centre, and of that the centre. A slide's axis is at the tip."""
+        """A point on each joint's axis, shape (n_joints, 3), [m]: the nearest to the tip, or, if
+        there is a pointing joint, to its centre; a slide's axis is drawn through the tip."""
         if self.pointing:
             centre = self.points[self.pointing[-1]]
             along = ((centre - self.points) * self.directions).sum(axis=1, keepdims=True)
@@ -119,9 +119,9 @@ class StandingLeg:
 
     @cached_property
     def pointing(self) -> list[int]:
-        """Passive revolute joints that point a rod or slide: their centre alone counts.
+        """Indices of passive revolute joints that point a rod or slide; only their centre counts.
 
-        Turned about what they point they make the same leg, if limits bar half-spaces only.
+        Turned about the rod or slide they give the same leg, if limits bound half-spaces only.
         """
         leg, form = self.closure.leg, closed_form(self.closure)
         if form is None:
@@ -132,14 +132,14 @@ class StandingLeg:
 
     @cached_property
     def barred(self) -> Array | None:
-        """Normals of the half-spaces that alone bound where a slide points, shape (k, 3)."""
+        """Normals of the half-spaces to which limits confine a slide, (k, 3); None for others."""
         form = closed_form(self.closure)
         reach = form.reach() if form is not None and form.frame is None else None
         return None if reach is None or not reach.exact else reach.normals
 
     @property
     def build(self) -> dict[str, object]:
-        """What has to be equal, by name: like kinds of joints, which of them are read or geared."""
+        """Structure of the leg, by name of quantity; it must be equal for equal legs."""
         names = [joint.name for joint in self.joints]
         return {
             "sequence of joints": [joint.kind for joint in self.joints],
@@ -150,14 +150,14 @@ class StandingLeg:
 
     @property
     def base(self) -> Array:
-        """Where the leg begins: on its first revolute axis, or its tip, shape (3,), [m]."""
+        """Base point of the leg: on its first revolute axis, or else its tip, shape (3,), [m]."""
         turning = [i for i, joint in enumerate(self.joints) if joint.turns]
         return self.points[turning[0]] if turning else self.tip
 
     def like(self, first: StandingLeg, element: Element) -> StandingLeg:
-        """Return the leg, a tree, with joints and ends in the order of one carried by an element.
+        """Return this leg, a tree, with joints and ends in the order of a leg that is carried here.
 
-        Each joint is that whose axis is nearest, of its kind.
+        Each joint of the carried leg is matched with the nearest axis of the same kind.
         """
         size, Q = self.closure.leg.size, element.matrix
         apart = np.abs((first.directions @ Q.T) @ self.directions.T)
@@ -174,7 +174,7 @@ class StandingLeg:
 
 
 def differences(first: StandingLeg, element: Element, second: StandingLeg) -> Iterator[Difference]:
-    """Yield in what a leg, carried by an element, and one at the carried pose differ."""
+    """Yield the differences of a leg, carried by an element, from a leg at the carried pose."""
     builds = first.build, second.build
     ends_alike = builds[0]["end"] == builds[1]["end"]
     if first.closure.leg.ends and ends_alike and len(first.joints) == len(second.joints):
@@ -197,7 +197,7 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
 
 
 def _turns_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> Iterator[Difference]:
-    """Yield in what joints differ whose axes a matrix carried: directions, limits, readings."""
+    """Yield the differences of joints, carried by Q, in directions, limits and readings."""
     pointing = first.pointing if first.pointing == second.pointing else []
     names = [joint.name for joint in second.joints]
     axes = [index for index in range(len(names)) if index not in pointing]
@@ -209,7 +209,7 @@ def _turns_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> Iterator[
     for index in axes:
         yield Difference(f"orientation of joint {names[index]!r}", float(angles[index]), "rad")
     if pointing:
-        bars: float | None = 0.0  # if nothing is bounded
+        bars: float | None = 0.0  # no half-spaces to compare
         if first.barred is not None and second.barred is not None:
             shifts = np.linalg.norm((first.barred @ Q.T)[:, None] - second.barred, axis=2)
             alike = len(first.barred) == len(second.barred)
@@ -222,7 +222,7 @@ def _turns_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> Iterator[
 
 
 def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: float) -> Difference:
-    """Return in what the limits of a joint differ, seen from where the legs stand."""
+    """Return the difference of a joint's limits, relative to the legs' positions."""
     carried, ends = (
         np.array((leg.joints[index].lower, leg.joints[index].upper)) - leg.positions[index]
         for leg in (first, second)
@@ -238,7 +238,7 @@ def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: flo
 
 
 def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> Iterator[Difference]:
-    """Yield by how much active joints move otherwise where readings are the same."""
+    """Yield the differences of active joints' motions at equal readings."""
     leg, image = first.closure.leg, second.closure.leg
     if [sensor.homed for sensor in leg.sensors] != [sensor.homed for sensor in image.sensors]:
         yield Difference("zero of the sensor", None, of_sensor=True)

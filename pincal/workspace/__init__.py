@@ -1,1 +1,1 @@
-"""Which poses a mechanism reaches, with margins from singularities."""
+"""Workspaces: the poses that a mechanism reaches, with margins from singularities."""

@@ -1,6 +1,6 @@
-"""What is asked of poses: orientations, reach in the working mode, limits, margins.
+"""Criteria of poses: orientations, reach in the working mode, joint limits, margins.
 
-Closed forms are asked first, by shells and half-spaces; what they leave open, by closed loops.
+Closed forms, shells and half-spaces, decide first; the legs are closed only for poses that remain.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from pincal.symmetry.elements import SAME, Element
 from pincal.types import Array, Mask
 from pincal.workspace.grid import Axis
 
-_FAR = 0.23  # from type-1 singularities
+_FAR = 0.23  # default margin from type-1 singularities
 _MOST_ORIENTATIONS = 1_000_000
-_GRIP = 1e-6  # at a type-1 singularity rounding errors choose the working mode
+_GRIP = 1e-6  # least type-1 margin: nearer, rounding errors choose the working mode
 
 
 _SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
@@ -52,7 +52,7 @@ class Orientations:
     """Distinct orientations ``R_base_platform``."""
 
     quaternions: Array
-    """Unit quaternions, scalar last and not negative, shape (O, 4)."""
+    """Unit quaternions, scalar last and >= 0, shape (O, 4)."""
 
     def __repr__(self) -> str:
         largest = np.degrees(self.rotations.magnitude().max(initial=0.0))
@@ -68,10 +68,10 @@ class Orientations:
 
     @classmethod
     def from_rotations(cls, rotations: Rotation) -> Orientations:
-        """Return the distinct ones of some orientations."""
+        """Return the distinct orientations among some rotations."""
         quaternions = np.atleast_2d(rotations.as_quat(canonical=True))
         rounded = quaternions.round(9) + 0.0
-        leading = np.argmax(rounded[:, ::-1] != 0.0, axis=1)  # half a turn is written in two ways
+        leading = np.argmax(rounded[:, ::-1] != 0.0, axis=1)  # a half turn has two quaternions
         rounded *= np.sign(rounded[np.arange(len(rounded)), 3 - leading])[:, None]
         _, first = np.unique(rounded + 0.0, axis=0, return_index=True)
         return cls(quaternions[np.sort(first)])
@@ -83,7 +83,7 @@ class Orientations:
 
     @classmethod
     def everywhere(cls, platform: Platform) -> Orientations:
-        """Return orientations all round: every 5° in a plane, every 30° in space."""
+        """Return orientations over the full range: every 5° in a plane, every 30° in space."""
         if platform.turns == 1:
             return cls.of(platform, _round("phi", 5.0))
         if platform.turns == 3:
@@ -93,12 +93,12 @@ class Orientations:
 
     @classmethod
     def of(cls, platform: Platform, *axes: str | Axis) -> Orientations:
-        """Return the orientations of a grid, in one of the ways to write them.
+        """Return the orientations of a grid of axes, all of one way to write orientations.
 
-        Axes that are not given stay at 0, but an azimuth beside a tilt goes round in steps of 10°.
+        Axes that are not given are 0, but an azimuth beside a tilt goes round in steps of 10°.
 
         Raises:
-            WorkspaceError: axes that the platform does not have, or of two ways at once.
+            WorkspaceError: the platform does not have the axes, or they are of different ways.
         """
         values = {axis.name: axis.values for axis in map(Axis.parse, axes)}
         if len(values) != len(axes):
@@ -122,7 +122,7 @@ class Orientations:
         return cls.from_rotations(rotation_of(way, grid))
 
     def maps(self, element: Element, slack: float = 0.0) -> bool:
-        """Return whether an element carries the set onto itself, but for slack: R → Q R Pᵀ."""
+        """Return whether an element, R → Q R Pᵀ, carries the set onto itself within ``slack``."""
         side = -1.0 if element.reflection else 1.0
         before, after = (Rotation.from_matrix(side * Q) for Q in element.turns)
         images = (before * self.rotations * after.inv()).as_quat(canonical=True)
@@ -132,18 +132,18 @@ class Orientations:
 
     @cached_property
     def _tree(self) -> KDTree:
-        upright = self.quaternions[:, 3] <= SAME  # half a turn is written in two ways
+        upright = self.quaternions[:, 3] <= SAME  # a half turn has two quaternions
         return KDTree(np.concatenate((self.quaternions, -self.quaternions[upright])))
 
 
 def _round(name: str, degrees: float) -> Axis:
-    """Return an axis once round, in steps of some degrees."""
+    """Return an axis of a full turn in steps of some degrees."""
     return Axis.spaced(name, -np.pi, np.pi, np.radians(degrees))
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Least distances from singularities that a pose must keep, dimensionless."""
+    """Least distances from singularities that a pose must keep, dimensionless; and tension."""
 
     type1: float | None = option(
         None,
@@ -156,8 +156,8 @@ class Margins:
         "Least distance from type-2 singularities [default: 0.2, at most half of home's].",
         name="margin_type2",
     )
-    """Determinant of the legs' unit constraint lines, signed as at home; hexapods are far below
-    planar mechanisms. Minus infinity counts poses on both sides of singularities."""
+    """Least determinant of the legs' unit constraint lines, positive at home; it is far smaller for
+    hexapods than for planar mechanisms. Minus infinity allows poses on both sides."""
 
     tension: float | None = option(
         None,
@@ -173,7 +173,7 @@ class Margins:
 
     @classmethod
     def none(cls) -> Margins:
-        """Return no margins: only reach in the working mode and joint limits count."""
+        """Return margins that only ask for reach in the working mode and within joint limits."""
         return cls(0.0, -np.inf)
 
     def least_type1(self, mechanism: Mechanism) -> float:
@@ -191,23 +191,23 @@ class Margins:
 
 
 def _check_stiff(mechanism: Mechanism) -> None:
-    """Raise WorkspaceError if a platform is held nowhere, or not at home."""
+    """Raise WorkspaceError if the legs hold the platform nowhere, or not at home."""
     rows, dof = mechanism.constraints, mechanism.platform.dof
     if rows < dof and not mechanism.by_readings:
         raise WorkspaceError(
-            f"the legs of {mechanism.name!r} make {rows} equations, too few for the {dof} "
-            "freedoms of its platform: they do not hold it anywhere. Add legs, read more of "
-            "their joints, or ask for reach alone (--no-margins)"
+            f"the legs of {mechanism.name!r} have {rows} equations, too few for the {dof} "
+            "freedoms of its platform: they hold it nowhere. Add legs, or sensors on further "
+            "joints, or ask for reach alone (--no-margins)"
         )
     if abs(home_determinant(mechanism)) < EXACT:
         raise WorkspaceError(
-            f"the home pose of {mechanism.name!r} is at a type-2 singularity, so it does not "
-            "say which side is meant; move home, or count poses on both sides (--no-margins)"
+            f"the home pose of {mechanism.name!r} is at a type-2 singularity, so the side of the "
+            "workspace is not known; move home, or count poses on both sides (--no-margins)"
         )
 
 
 class Criteria:
-    """Decides which poses of a mechanism count."""
+    """Test of poses: whether a mechanism reaches them within limits and margins (they count)."""
 
     def __init__(self, mechanism: Mechanism, least: Margins | None = None) -> None:
         self.mechanism = mechanism
@@ -227,29 +227,29 @@ class Criteria:
         exact = len(forms) == len(self._legs) and all(reach.exact for reach in self.reaches)
         self._exact = exact and not self._pulls
         self.in_closed_form = self._type2 == -np.inf and self._exact
-        """Whether the reaches decide alone."""
+        """Whether the closed forms alone decide every pose."""
 
     def __call__(self, matrices: Array) -> Mask:
-        """Return which poses ``T_base_platform``, shape (N, 4, 4), count."""
+        """Return the mask, shape (N,), of the poses T_base_platform, (N, 4, 4), that count."""
         inside = np.ones(len(matrices), dtype=bool)
         for reach in self.reaches:
             inside &= reach.holds(matrices)
         rows = np.arange(0) if self.in_closed_form else np.flatnonzero(inside)
-        for part in (rows[chunk] for chunk in chunks(len(rows))):  # what the reaches allow
+        for part in (rows[chunk] for chunk in chunks(len(rows))):  # poses that closed forms allow
             margin = rods_margin(self.mechanism, matrices[part]) if self._exact else None
             if margin is not None:
                 inside[part] = margin >= self._type2 - ROUNDING
                 continue
             inside[part] = False
-            for leg in self._searched:  # where one is out of reach, no other is searched
+            for leg in self._searched:  # poses out of a leg's reach need no further search
                 part = part[close((leg,), matrices[part]).reached]
             inside[part] = self._counted(close_legs(self._legs, matrices[part]))
         return inside
 
     def at_readings(self, poses: Array, readings: Array) -> Mask:
-        """Return which configurations count, of poses (N, dof) at readings (N, n_readings).
+        """Return the mask of configurations that count: poses (N, dof), readings (N, n_readings).
 
-        Legs that digits of a file keep apart at home may be as far apart elsewhere.
+        Closures may be as open as they are at home, where digits cut in a file can open them.
         """
         platform, closed = self.mechanism.platform, []
         matrices = platform.matrices(poses)
@@ -262,7 +262,7 @@ class Criteria:
         return self._counted(closed)
 
     def _counted(self, closed: Sequence[tuple[list[int], ClosedLegs]]) -> Mask:
-        """Return which poses count of those at which legs were closed."""
+        """Return the mask of the poses that count, from the legs closed at them."""
         with np.errstate(invalid="ignore"):
             inside = np.all(by_leg(closed, lambda legs: legs.reached), axis=0)
             joints = by_leg(closed, lambda legs: legs.joints)
@@ -282,27 +282,26 @@ class Criteria:
 
 
 def as_margins(least: Margins | None) -> Margins:
-    """Return margins, the default if not given."""
+    """Return the margins, or the default ones for None."""
     return must_be(least or Margins(), Margins, "margins", WorkspaceError)
 
 
 @lru_cache(maxsize=16)
 def criteria_of(mechanism: Mechanism, least: Margins) -> Criteria:
-    """Return the criteria of a mechanism, made once."""
+    """Return the criteria of a mechanism, cached."""
     return Criteria(mechanism, least)
 
 
 def refuse_readings(mechanism: Mechanism) -> None:
-    """Raise if readings do not follow from poses, so that positions cannot be asked one by one."""
+    """Raise WorkspaceError if poses do not determine readings: no position can then be tested."""
     if mechanism.by_readings:
         raise WorkspaceError(
-            f"poses of {mechanism.name!r} are made from readings, and do not fill a region of "
-            "positions and orientations that could be asked; 'pincal workspace' without --kind "
-            "samples them"
+            f"poses of {mechanism.name!r} follow from readings and fill no region of positions and "
+            "orientations that could be tested; 'pincal workspace' without --kind samples them"
         )
 
 
 def in_workspace(mechanism: GivenMechanism, poses: Poses, least: Margins | None = None) -> Mask:
-    """Return which poses count, shape (N,)."""
+    """Return the mask, shape (N,), of the poses that are in the workspace."""
     mechanism = as_mechanism(mechanism)
     return criteria_of(mechanism, as_margins(least))(mechanism.platform.matrices(poses))

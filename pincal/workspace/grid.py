@@ -1,7 +1,7 @@
-"""Grids of positions at which a workspace is asked, and axes, as ``x [mm]=-500:500:10``.
+"""Grids of positions at which a workspace is computed, and their axes, ``x [mm]=-500:500:10``.
 
-Positions are made from their numbers, never held all. The lowest number of an orbit under the
-mechanism's group represents it, so that these form a fundamental domain.
+Positions are computed from their indices, never stored all. The lowest index of an orbit under the
+mechanism's group represents the orbit; these positions form a fundamental domain.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ from pincal.types import Array, Mask
 from pincal.words.numbers import UNITS
 
 Indices = NDArray[np.int64]
-Carrier: TypeAlias = Callable[[Indices], Indices]  # of positions to those of their images
+Carrier: TypeAlias = Callable[[Indices], Indices]  # from positions' indices to their images'
 _AXIS = re.compile(r"^\s*(\w+)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*=\s*(.+?)\s*$")
-MOST = 10_000_000  # values of an axis, or poses, beyond which they are refused
-#: Units of all axes that a grid may have.
+MOST = 10_000_000  # largest number of values of an axis, or of poses
+#: Units of all axes of positions and orientations.
 DIMENSIONS = {
     **dict.fromkeys(("x", "y", "z", "radius"), "m"),
     **dict.fromkeys(("bearing", "phi", "azimuth", "tilt", "torsion"), "rad"),
     **dict.fromkeys(("rx", "ry", "rz", "yaw", "pitch", "roll"), "rad"),
 }
-#: Angles that come back to where they were after a full turn.
+#: Angles that are periodic by a full turn.
 TURNING = ("bearing", "phi", "azimuth", "torsion", "yaw", "roll")
 POSITION_AXES = ("x", "y", "radius", "bearing", "z")
 BLOCK = 1 << 17  # positions, or pairs of position and orientation, in memory at a time
-_MOST = 1_000_000_000  # positions, a byte each
-_ACROSS = {2: 200, 3: 60}  # steps of a grid in the plane, in space, across the box
-_CLOSER = 0.8  # of the extent, below which another look is worth while
-_AROUND = {2: 360, 3: 72}  # bearings of a polar grid, at least
+_MOST = 1_000_000_000  # largest number of positions, a byte each
+_ACROSS = {2: 200, 3: 60}  # steps of a default grid across the box, in the plane and in space
+_CLOSER = 0.8  # part of a grid's extent below which a closer grid is worth while
+_AROUND = {2: 360, 3: 72}  # least number of bearings of a polar grid, in the plane and in space
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Axis:
-    """Values of one coordinate."""
+    """Increasing values of one coordinate."""
 
     name: str
-    """``x``, ``y``, ``z``; ``radius`` and ``bearing`` of a polar grid; or of an orientation."""
+    """``x``, ``y``, ``z``; ``radius``, ``bearing`` of a polar grid; or an orientation angle."""
     values: Array
-    """Increasing, shape (n,), [m] or [rad]."""
+    """Values, increasing, shape (n,), [m] or [rad]."""
 
     def __post_init__(self) -> None:
         if self.name not in DIMENSIONS:
@@ -75,18 +75,18 @@ class Axis:
 
     @property
     def step(self) -> float:
-        """Mean distance of neighbouring values; 0 if there is one value."""
+        """Mean distance of neighbouring values; 0 for a single value."""
         return float(np.ptp(self.values) / max(len(self.values) - 1, 1))
 
     @property
     def full_turn(self) -> bool:
-        """Whether the values go once round, evenly."""
+        """Whether the values are evenly spaced over a full turn."""
         turn = self.step * len(self.values)
         return self.name in TURNING and bool(np.isclose(turn, 2 * np.pi, rtol=1e-9))
 
     @classmethod
     def spaced(cls, name: str, low: float, high: float, step: float) -> Axis:
-        """Return values from low to high; of an angle's full turn the first end only."""
+        """Return the axis from low to high in steps; a full turn leaves out its last value."""
         fault = None
         if not np.isfinite([low, high, step]).all():
             fault = "limits and step must be finite numbers"
@@ -95,7 +95,7 @@ class Axis:
         elif step <= 0.0:
             fault = f"the step is {step:g}; expected more than 0"
         elif (high - low) / step > MOST:
-            fault = f"more than {MOST:,} values; a larger step"
+            fault = f"more than {MOST:,} values; take a larger step"
         if fault:
             raise WorkspaceError(f"axis {name!r}: {fault}")
         count = int(np.floor((high - low) / step + ALIKE)) + 1
@@ -109,7 +109,7 @@ class Axis:
 
     @classmethod
     def parse(cls, text: str | Axis) -> Axis:
-        """Return an axis, perhaps of ``NAME [UNIT]=LOW:HIGH:STEP`` or ``NAME [UNIT]=VALUE,…``."""
+        """Return an axis, or that of ``NAME [UNIT]=LOW:HIGH:STEP`` or ``NAME [UNIT]=VALUE,…``."""
         if isinstance(text, Axis):
             return text
         match = _AXIS.match(text)
@@ -154,8 +154,8 @@ class Grid:
             steps = np.diff(axis.values)
             if len(steps) and np.ptp(steps) > ALIKE * axis.step:
                 raise WorkspaceError(
-                    f"axis {axis.name!r} of positions is not evenly spaced; each value is "
-                    "a cell of one step"
+                    f"axis {axis.name!r} of positions is not evenly spaced; expected one step, "
+                    "since each value stands for a cell of one step"
                 )
             if axis.name == "bearing" and axis.step * len(axis.values) > 2 * np.pi * (1 + ALIKE):
                 raise WorkspaceError(
@@ -171,10 +171,10 @@ class Grid:
 
     @classmethod
     def of(cls, *axes: str | Axis) -> Grid:
-        """Return a grid from axes or their texts, in any order: ``"x=-1:1:0.1"``."""
+        """Return a grid of axes in any order, also given as texts: ``"x=-1:1:0.1"``."""
         parsed = [Axis.parse(axis) for axis in axes]
         if unknown := [axis.name for axis in parsed if axis.name not in POSITION_AXES]:
-            raise WorkspaceError(f"axis {unknown[0]!r} is not one of positions: {POSITION_AXES}")
+            raise WorkspaceError(f"axis {unknown[0]!r}: expected one of {', '.join(POSITION_AXES)}")
         return cls(tuple(sorted(parsed, key=lambda axis: POSITION_AXES.index(axis.name))))
 
     @property
@@ -198,12 +198,12 @@ class Grid:
         return sum(n > 1 for n in self.shape)
 
     def at(self, index: Indices) -> Array:
-        """Return positions by number, shape (N, 3), [m]."""
+        """Return the positions of some indices, shape (N, 3), [m]."""
         places = zip(self.axes, np.unravel_index(index, self.shape), strict=True)
         return self.cartesian([axis.values[i] for axis, i in places])
 
     def cartesian(self, coordinates: Sequence[Array]) -> Array:
-        """Return positions from values along the axes, shape (N, 3), [m]."""
+        """Return the positions of values along the axes, shape (N, 3), [m]."""
         first, second, *heights = coordinates
         if self.polar:
             first, second = first * np.cos(second), first * np.sin(second)
@@ -216,23 +216,23 @@ class Grid:
         first, size = self.axes[0], math.prod(axis.step or 1.0 for axis in self.axes)
         if not self.polar:
             return np.full(len(first.values), size)
-        beyond = np.maximum(first.step / 2 - first.values, 0.0)  # the centre; rings are r dr
+        beyond = np.maximum(first.step / 2 - first.values, 0.0)  # at the centre
         return size * (first.values + beyond**2 / (2 * first.step or 1.0))
 
     def carrier(self, move: Array, slack: float = 0.0) -> Carrier | None:
-        """Return what an isometry, (4, 4), does to numbers; None if it does not map but for slack.
+        """Return the map of indices under an isometry, (4, 4); None if it does not keep the grid.
 
-        That is less than half a step, [m] along axes, [rad] between them.
+        ``slack``, less than half a step, [m] along axes and [rad] between them, is tolerated.
         """
         Q, t = move[:3, :3], move[:3, 3]
-        if self.polar:  # radii stay, bearings turn or are mirrored
+        if self.polar:  # radii stay, bearings are turned or mirrored
             across = (Q[:2, 2], Q[2, :2], t[:2] / max(1.0, float(self.axes[0].values[-1])))
             if max(np.abs(part).max() for part in across) > SAME + slack:
                 return None
             t = np.array([0.0, np.arctan2(Q[1, 0], Q[0, 0]), t[2]])
             Q = np.diag([1.0, np.linalg.det(Q[:2, :2]), Q[2, 2]])
         signs = Q.round()
-        if np.abs(Q - signs).max() > SAME + slack:  # of x, y, z only quarter turns and such
+        if np.abs(Q - signs).max() > SAME + slack:  # only signed permutations of x, y, z fit
             return None
         axes, shape = (*self.axes, Axis("z", np.zeros(1)))[:3], (*self.shape, 1)[:3]
         sources, maps = np.abs(signs).argmax(axis=1).tolist(), list[Indices]()
@@ -255,17 +255,17 @@ class Grid:
         return carry
 
     def closed(self, place: int) -> bool:
-        """Return whether the first and last value of an axis are neighbours."""
+        """Return whether the first and last value of an axis, by its place, are neighbours."""
         return self.axes[place].full_turn and len(self.axes[place].values) > 2
 
 
 def lowest(carriers: Iterable[Carrier], index: Indices) -> Indices:
-    """Return the lowest numbers of positions' orbits: a group maps the grid onto itself."""
+    """Return the lowest index in each position's orbit under a group that maps the grid."""
     return np.min([index, *(carrier(index) for carrier in carriers)], axis=0)
 
 
 def edges(grid: Grid, inside: Mask) -> Indices:
-    """Return pairs of neighbours of which one counts, by number, shape (M, 2)."""
+    """Return index pairs of neighbours of which exactly one is inside, shape (M, 2)."""
     cells, pairs = inside.reshape(grid.shape), []
     for place, n in enumerate(grid.shape):
         differ = cells != np.roll(cells, -1, axis=place)
@@ -279,7 +279,7 @@ def edges(grid: Grid, inside: Mask) -> Indices:
 
 
 def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
-    """Return the positions that count and hang together with the one nearest to home, (N,)."""
+    """Return the mask, (N,), of inside positions connected with the one nearest to home."""
     labels, count = label(inside.reshape(grid.shape))
     numbers = np.arange(count + 1)
     for place in filter(grid.closed, range(labels.ndim)):  # first and last value are neighbours
@@ -293,7 +293,7 @@ def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
 
 
 def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) -> Grid:
-    """Return a grid of positions within reach, with some axes; polar if the mechanism rotates."""
+    """Return a grid within reach that has the ``fixed`` axes; polar for rotational symmetry."""
     mechanism = as_mechanism(mechanism)
     axes, n = [Axis.parse(axis) for axis in fixed], mechanism.platform.lengths
     names = {axis.name for axis in axes}
@@ -318,7 +318,7 @@ def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) ->
 
 
 def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
-    """Return a grid of as many values around what counts, axes by name fixed; None if no closer."""
+    """Return a closer grid around inside positions, but for ``fixed`` axes; None if not closer."""
     if not inside.any():
         return None
     stay, cells, axes, closer = set(fixed), inside.reshape(grid.shape), list(grid.axes), False
@@ -338,7 +338,7 @@ def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
 
 
 def reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return the corners of a box that holds what all legs reach, shape (3,) each, [m]."""
+    """Return the corners of a box around all positions in reach of all legs, (3,) each, [m]."""
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     for leg in mechanism.legs:
         base = np.array(leg.joints[0].placement.xyz)

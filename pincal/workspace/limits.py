@@ -1,8 +1,8 @@
-"""Where poses may lie: in a box, above a floor, clear of bodies that are kept out.
+"""Limits of poses: a box for the coordinates, a floor, and bodies that are kept out.
 
-All of these are convex: a floor is a half-space, a box is six, a mesh counts as its hull. A body is
-the half-spaces A x < b whose common part it is, shifted outward by the clearance; points of the
-machine, and the straight ways of these between poses, stay out of it.
+All bodies are convex: a floor is a half-space, a box has six, a mesh counts as its convex hull. A
+body is the intersection of half-spaces A x < b, shifted outward by the clearance. Points of the
+machine, and their straight paths between poses, stay outside.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _ANY = (-np.inf, np.inf)
 
 @dataclass(frozen=True)
 class Limits:
-    """Where poses may lie; what they keep clear of are points, not the bodies of links."""
+    """Limits of poses; the clearance is that of points, not of the bodies of links."""
 
     box: str = option(
         "",
-        "Where the platform's coordinates may lie: 'x=-0.1..0.1, z=1.6..1.8, phi=-20deg..20deg'; "
-        "an end may be left out.",
+        "Ranges of the platform's coordinates: 'x=-0.1..0.1, z=1.6..1.8, phi=-20deg..20deg'; an "
+        "end may be left out.",
         metavar="RANGES",
     )
     floor: float | None = option(
@@ -46,27 +46,27 @@ class Limits:
     )
     keep_out: tuple[str, ...] = option(
         (),
-        "Box, as 'x=0.2..0.5, y=0..1', or mesh, as its hull (.stl, .obj, in m), of which they stay "
-        "clear; as often as needed.",
+        "Box, such as 'x=0.2..0.5, y=0..1', or mesh (.stl, .obj, in m; its hull counts), that the "
+        "same points stay out of; may be repeated.",
         metavar="RANGES|MESH",
     )
     clearance: float = option(
         0.0,
-        "Distance kept from floor and --keep-out, at poses and on straight ways between [m].",
+        "Distance kept from floor and --keep-out, at poses and on straight paths between [m].",
         unit="m",
     )
 
     @cached_property
     def bodies(self) -> list[tuple[Array, Array]]:
-        """What points stay out of: A, shape (k, 3), and b, (k,), of each body.
+        """Bodies that points stay out of: A, shape (k, 3), and b, shape (k,), [m], of each.
 
         Raises:
-            MeasurementError: a range that cannot be read, or no finite height or distance.
-            FileError: a mesh that cannot be read, or has no inside.
+            MeasurementError: a range cannot be read, or the floor or clearance is not finite.
+            FileError: a mesh cannot be read, or has no inside.
         """
         if not np.isfinite(self.floor or 0.0) or not 0.0 <= self.clearance < np.inf:
             raise MeasurementError(
-                f"--floor {self.floor}, --clearance {self.clearance}: a finite height is expected, "
+                f"--floor {self.floor}, --clearance {self.clearance}: expected a finite height, "
                 "and a distance of 0 or more"
             )
         bodies = []
@@ -80,7 +80,7 @@ class Limits:
                 try:
                     mesh: Any = trimesh.load(text, force="mesh", process=False)
                     planes = ConvexHull(np.asarray(mesh.vertices)).equations
-                except Exception as error:  # whatever readers of meshes raise
+                except Exception as error:  # readers of meshes raise many types
                     raise FileError(
                         f"--keep-out {text}: neither a box, such as 'x=0.2..0.5, y=0..1', nor a "
                         f"mesh that has an inside: {str(error).strip().partition(chr(10))[0]}"
@@ -89,7 +89,7 @@ class Limits:
         return [(A, b + self.clearance) for A, b in bodies]
 
     def allow(self, mechanism: Mechanism, offered: Plan, setup: Setup) -> Mask:
-        """Return which configurations are within the limits, shape (N,)."""
+        """Return the mask of the configurations within the limits, shape (N,)."""
         platform, within = mechanism.platform, np.ones(len(offered), dtype=bool)
         ranges = _ranges(self.box, dict(zip(platform.coordinates, platform.units, strict=True)))
         for name, (low, high) in ranges.items():
@@ -102,15 +102,15 @@ class Limits:
         return within
 
     def blocked(self, points: Array) -> Mask:
-        """Return which straight ways between N configurations lead a point through a body, (N, N).
+        """Return which straight paths between N configurations lead a point through a body, (N, N).
 
-        Points have shape (N, P, 3).
+        ``points`` are the positions of P points, shape (N, P, 3), [m].
         """
         blocked = np.zeros((len(points), len(points)), dtype=bool)
         for A, b in self.bodies:
-            heights = points @ A.T  # in it where they are below b
+            heights = points @ A.T  # inside the body where all are below b
             for row, begin in enumerate(heights):
-                along, room = heights - begin, b - begin  # in it where t · along < room
+                along, room = heights - begin, b - begin  # inside where t · along < room
                 with np.errstate(divide="ignore", invalid="ignore"):
                     at = room / along
                 first = np.where(along < 0.0, at, 0.0).max(axis=2).clip(min=0.0)
@@ -121,7 +121,7 @@ class Limits:
 
 
 def moving_points(mechanism: Mechanism, plan: Plan, setup: Setup) -> Array:
-    """Return the joints that move, the platform's origin and targets, (N, P, 3), base frame."""
+    """Return positions of moving joints, platform and targets, (N, P, 3), [m], base frame."""
     plan = as_plan(mechanism, plan)
     joints, T = joints_at(mechanism, plan).joints, mechanism.platform.matrices(plan.poses)
     offsets = np.array([(0.0, 0.0, 0.0), *(target.offset for target in setup.targets.values())])
@@ -132,7 +132,7 @@ def moving_points(mechanism: Mechanism, plan: Plan, setup: Setup) -> Array:
 
 
 def _ranges(text: str, units: Mapping[str, str]) -> dict[str, tuple[float, float]]:
-    """Return lowest and highest values, SI, by the names in a text ``x=-0.1..0.1, z=..1.8``."""
+    """Return lowest and highest values, SI, by name, of a text ``x=-0.1..0.1, z=..1.8``."""
     ranges: dict[str, tuple[float, float]] = {}
     for part in filter(None, map(str.strip, text.split(","))):
         name, _, ends = (word.strip() for word in part.partition("="))
@@ -140,10 +140,10 @@ def _ranges(text: str, units: Mapping[str, str]) -> dict[str, tuple[float, float
         unit = units.get(name)
         if not dots or unit is None:
             raise MeasurementError(
-                f"{part!r} is no range; expected such as 'x=-0.1..0.1' or 'x=-100mm..100mm', of "
-                f"{', '.join(units)}"
+                f"{part!r} is no range; expected for example 'x=-0.1..0.1' or 'x=-100mm..100mm', "
+                f"with a name of {', '.join(units)}"
             )
         ranges[name] = in_si(low or "-inf", unit), in_si(high or "inf", unit)
         if not ranges[name][0] < ranges[name][1]:
-            raise MeasurementError(f"{part!r}: the lower end comes first")
+            raise MeasurementError(f"{part!r}: expected the lower end first")
     return ranges

@@ -1,7 +1,7 @@
 """Workspaces as sets of positions: reached in one orientation, in some, or in all of a set.
 
-Reachable asks for any orientation, total orientation and dexterous for every one; a position is
-done with at the first orientation that decides it.
+A reachable workspace needs any orientation, a total-orientation or dexterous one every orientation;
+a position is decided at the first orientation that settles it.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from pincal.workspace.grid import (
 )
 
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
-_CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
-_NEARLY, _CELL = 1e-4, 0.1  # [m] or [rad], of a step: by which a symmetry may fail to hold
-_FIRST = 16  # orientations after which closed loops ask who is decided, then 8 times as many
+_CHUNK = 1 << 22  # poses tested at a time if legs have closed forms
+_NEARLY, _CELL = 1e-4, 0.1  # [m] or [rad], and over a step: tolerance of a symmetry
+_FIRST = 16  # orientations in the first round of closing legs; each round has 8 times as many
 
 
 class PositionTest:
-    """Decides which positions are reached in any, or in every, orientation of a set."""
+    """Test of positions: whether they are reached in any, or in every, orientation of a set."""
 
     def __init__(
         self, mechanism: Mechanism, orientations: Orientations, every: bool, least: Margins
@@ -57,10 +57,10 @@ class PositionTest:
         self.every, self.least = every, least
         self._criteria = criteria_of(mechanism, least)
         self.in_closed_form = self._criteria.in_closed_form
-        """Whether no loop needs to be closed to decide."""
+        """Whether closed forms decide, so that no leg needs to be closed."""
 
     def __call__(self, positions: Array) -> Mask:
-        """Return which positions, shape (N, 3), count."""
+        """Return the mask, shape (N,), of the positions, shape (N, 3), that count."""
         inside = np.empty(len(positions), dtype=bool)
         step = max(1, BLOCK // len(self.orientations))
         for begin in range(0, len(positions), step):
@@ -69,16 +69,16 @@ class PositionTest:
 
     @cached_property
     def _turns(self) -> tuple[Array, list[Array]]:
-        """Orientations as matrices, (O, 3, 3), those first that decide, and turned points."""
+        """Orientations as matrices, (O, 3, 3), decisive ones first, and turned platform points."""
         rotations = self.orientations.rotations
         home = self.mechanism.platform.home_pose.rotation[0]
         far = (home.inv() * rotations).magnitude()
-        # far ones decide soonest if every one must be reached
+        # if every orientation must be reached, those far from home fail first
         R = rotations.as_matrix()[np.argsort(-far if self.every else far, kind="stable")]
         return R, [(R @ reach.point).T for reach in self._criteria.reaches]
 
     def _decided(self, positions: Array) -> Mask:
-        """Return which positions count: by closed forms first, then by closing legs."""
+        """Return the mask of the positions that count, by closed forms and then by closing legs."""
         R, arms = self._turns
         alive, possible = np.arange(len(positions)), np.ones((len(positions), len(R)), dtype=bool)
         for reach, arm in zip(self._criteria.reaches, arms, strict=True):
@@ -92,9 +92,9 @@ class PositionTest:
         return inside
 
     def _by_closing(self, positions: Array, possible: Mask) -> Mask:
-        """Return which positions count, by closing the legs at possible pairs, shape (P,)."""
+        """Return the mask of the positions that count, (P,), by closing legs at possible pairs."""
         R, _ = self._turns
-        decided = np.zeros(len(positions), dtype=bool)  # failed if every, else reached
+        decided = np.zeros(len(positions), dtype=bool)  # failed if ``every``, otherwise reached
         begin, width = 0, _FIRST
         while begin < len(R) and not decided.all():
             columns = slice(begin, begin + width)
@@ -111,10 +111,10 @@ class PositionTest:
 def usable(
     group: tuple[Element, ...], grid: Grid, test: PositionTest, slack: float = 0.0
 ) -> dict[Element, Carrier]:
-    """Return elements of a group that map what is asked, and what counts, onto itself.
+    """Return a group's elements that map grid, orientations and criteria onto themselves.
 
-    With what each does to numbers of positions. One that permutes legs oddly turns over the sign
-    that the margin from type-2 singularities looks at, unless home is where it was.
+    Each has its map of indices of positions. An element that permutes the legs oddly reverses the
+    sign of the type-2 margin, and is left out unless the image of home has a positive margin.
     """
     mechanism, turns = test.mechanism, test.orientations.rotations.as_matrix()
     home, elements = np.array([mechanism.platform.home]), {}
@@ -123,7 +123,7 @@ def usable(
         carrier = None if move is None else grid.carrier(move, slack)
         if carrier is None or not test.orientations.maps(element, slack):
             continue
-        if mechanism.cables and (load := mechanism.load):  # which tensions depend on
+        if mechanism.cables and (load := mechanism.load):  # tensions depend on the load
             down, centre = np.array(load.gravity), np.array([load.centre])
             moved = element.matrix @ down - down, applied(element.platform, centre) - centre
             if max(np.abs(shift).max() for shift in moved) > ROUNDING:
@@ -139,7 +139,7 @@ def usable(
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Workspace:
-    """Positions of a grid that count.
+    """Positions of a grid that are in a workspace (they count).
 
     Example:
         >>> import pincal
@@ -152,13 +152,13 @@ class Workspace:
     kind: str
     test: PositionTest
     asked: Grid
-    """The positions asked, that ``inside`` is about."""
+    """Grid of the tested positions."""
     inside: Mask
-    """Which positions count, by number, shape (n_asked,); not writable."""
+    """Mask of the grid's positions that count, shape (n_asked,); not writable."""
     elements: tuple[Element, ...]
     """Elements of the mechanism's group that were used, the identity first."""
     unused: tuple[Element, ...]
-    """Elements that do not map positions or orientations onto themselves, or were not wanted."""
+    """Elements not used: they map positions or orientations elsewhere, or ``symmetry`` is off."""
     computed: int
     """Number of positions that were computed; the others follow by symmetry."""
 
@@ -169,15 +169,15 @@ class Workspace:
 
     @property
     def positions(self) -> Array:
-        """Positions that count, shape (count, 3), base frame, [m]; all at once."""
+        """Positions that count, shape (count, 3), base frame, [m]."""
         return self.asked.at(np.flatnonzero(self.inside))
 
     @cached_property
     def cut(self) -> bool:
-        """Whether positions that count lie at the edge of the grid: there may be more outside."""
+        """Whether positions at the edge of the grid count, so that there may be more outside."""
         cells = self.inside.reshape(self.asked.shape)
         for place, axis in enumerate(self.asked.axes):
-            round_centre = axis.name == "radius" and axis.values[0] <= axis.step  # is no edge
+            round_centre = axis.name == "radius" and axis.values[0] <= axis.step  # no edge inside
             ends = cells.take([-1] if round_centre else [0, -1], place)
             if len(axis.values) > 1 and not axis.full_turn and ends.any():
                 return True
@@ -185,9 +185,9 @@ class Workspace:
 
     @cached_property
     def apart(self) -> int:
-        """How many positions that count do not hang together with home's on the grid.
+        """Number of positions that count but are not connected with home's on the grid.
 
-        They may belong to another aspect, or hang together by other orientations.
+        They may belong to another aspect, or be connected by other orientations.
         """
         if not self.inside.any():
             return 0
@@ -196,16 +196,16 @@ class Workspace:
 
     @cached_property
     def measure(self) -> float:
-        """Area [m²] or volume [m³]; a length [m] on a line."""
+        """Volume [m³], area [m²], or length [m], by the number of the grid's dimensions."""
         counts = np.count_nonzero(self.inside.reshape(self.asked.shape[0], -1), axis=1)
         return float(counts @ self.asked.measures)
 
     @cached_property
     def uncertainty(self) -> float:
-        """By how much ``measure`` is off at most: half a cell along the whole edge on the grid."""
+        """Largest error of ``measure``: half a cell along the whole border on the grid."""
         places = np.unravel_index(edges(self.asked, self.inside).ravel(), self.asked.shape)
         measures = self.asked.measures
-        return float(max(measures[places[0]].sum() / 4, measures[-1]))  # one may have been missed
+        return float(max(measures[places[0]].sum() / 4, measures[-1]))  # at least a missed cell
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the positions that count to a CSV file: x [m], y [m] and, in space, z [m]."""
@@ -215,7 +215,7 @@ class Workspace:
 
     @property
     def size(self) -> str:
-        """Its measure to the digits that are known, with the unit; a single position has none."""
+        """The measure with its significant digits and unit; a single position has no unit."""
         unit = ("", "m", "m²", "m³")[self.asked.dimension]
         return f"{measured(self.measure, self.uncertainty)} {unit}"
 
@@ -228,14 +228,14 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Computing:
-    """How a workspace is computed."""
+    """Options of computing a workspace."""
 
     symmetry: bool = True
-    """Compute a fundamental domain of the group only, as far as it maps what is asked."""
+    """Whether to compute only a fundamental domain of the symmetries that map the grid."""
     connected: bool = False
-    """Keep only what hangs together, on this grid, with the position nearest to home."""
+    """Whether to keep only positions connected, on the grid, with the one nearest to home."""
     progress: Callable[[int], None] | None = None
-    """Called with the number of positions done."""
+    """Function that is called with the number of positions done."""
 
 
 @one_thread()
@@ -249,21 +249,21 @@ def compute_workspace(
 ) -> Workspace:
     """Return the positions that a platform reaches in one orientation, some, or all of a set.
 
-    Positions count one by one, those of an aspect across a singularity too where margins allow
-    for it: see ``connected`` and ``Workspace.apart``.
+    Each position is tested by itself, so an aspect across a singularity is included where margins
+    allow it: see ``connected`` and ``Workspace.apart``.
 
     Args:
         mechanism: The mechanism.
         kind: ``reachable`` (in any orientation), ``constant-orientation`` (in the one given),
-            ``total-orientation`` (in every one given) or ``dexterous`` (in every one there is).
-        grid: Where to ask.
-        orientations: Orientations asked; if not given, home's for a constant orientation, and
-            all round (5° apart in a plane, 30° in space) if reachable or dexterous.
+            ``total-orientation`` (in all given ones) or ``dexterous`` (in all that exist).
+        grid: Grid of the positions to test.
+        orientations: Orientations to test; by default home's for a constant orientation, and the
+            full range (5° apart in a plane, 30° in space) if reachable or dexterous.
         least: Margins from singularities.
         **options: ``symmetry``, ``connected``, ``progress``: see ``Computing``.
 
     Raises:
-        WorkspaceError: an unknown kind, or no orientations where they are needed.
+        WorkspaceError: the kind is unknown, or orientations are missing where they are needed.
     """
     computing, mechanism = Computing(**options), as_mechanism(mechanism)
     orientations = _orientations(mechanism, kind, orientations)
@@ -287,14 +287,14 @@ def compute_workspace(
     for begin in range(0, grid.size, size):
         end = min(begin + size, grid.size)
         index = np.arange(begin, end)
-        first = lowest(elements.values(), index)  # of each orbit: done with before, or now
+        first = lowest(elements.values(), index)  # computed in an earlier part, or in this one
         domain = index[first == index]
         inside[domain], asked[domain] = test(grid.at(domain)), True
         inside[begin:end] = inside[first]
         computed += len(domain)
         if computing.progress:
             computing.progress(end)
-    while not exact:  # a symmetry that nearly holds is asked again along the border, which may move
+    while not exact:  # a symmetry that nearly holds may move the border: compute it there
         border = np.unique(edges(grid, inside))
         border = border[~asked[border]]
         inside[border], asked[border] = test(grid.at(border)), True
@@ -308,7 +308,7 @@ def compute_workspace(
 def _orientations(
     mechanism: Mechanism, kind: str, orientations: Orientations | None
 ) -> Orientations:
-    """Return the orientations that a kind of workspace asks."""
+    """Return the orientations to test for a kind of workspace, checked."""
     platform = mechanism.platform
     if kind not in KINDS:
         raise WorkspaceError(f"unknown kind of workspace {kind!r}; expected {', '.join(KINDS)}")
@@ -316,12 +316,12 @@ def _orientations(
         if kind == "constant-orientation" and len(orientations) != 1:
             raise WorkspaceError(
                 f"a constant-orientation workspace has one orientation; got {len(orientations)}. "
-                "An azimuth that is not given beside a tilt goes all round: give it too"
+                "If a tilt is given without an azimuth, the azimuth goes all round: give it too"
             )
         if kind == "dexterous" and platform.turns:
             raise WorkspaceError(
-                "a dexterous workspace asks for every orientation there is; of a choice of "
-                "orientations it is a total-orientation workspace"
+                "a dexterous workspace needs every orientation that exists; for chosen "
+                "orientations compute a total-orientation workspace"
             )
         return orientations
     if kind == "total-orientation" and platform.turns:
@@ -335,7 +335,7 @@ def _orientations(
 
 
 def _check_grid(mechanism: Mechanism, grid: Grid) -> None:
-    """Raise if positions leave the plane of the platform, or are of another scale."""
+    """Raise WorkspaceError if positions leave the platform's plane, or the unit seems wrong."""
     ends = grid.at(np.array([0, grid.size - 1]))
     if mechanism.platform.lengths < 3 and ends[:, 2].any():
         raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
