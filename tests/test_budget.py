@@ -22,7 +22,7 @@ LINES = {
     "files": 3_386,
     "formats": 3_515,
     "instruments": 1_579,
-    "kinematics": 3_386,
+    "kinematics": 3_391,
     "model": 3_610,
     "show": 4_225,
     "symmetry": 1_373,

@@ -1,6 +1,6 @@
-"""Small matrices and turns, one for each of N poses, all at once, of shape (N, …).
+"""Small matrices and rotations of N poses at once, of shape (N, …).
 
-They are quickest where memory runs along the poses (``.T`` of arrays of shape (…, N)): NumPy then
+They are fastest where memory runs along the poses (``.T`` of arrays of shape (…, N)): NumPy then
 does one long loop instead of N short ones.
 """
 
@@ -15,35 +15,35 @@ from scipy.spatial.transform import Rotation
 
 from pincal.types import Array
 
-CHUNK = 6000  # poses at once: their matrices stay near the processor
+CHUNK = 6000  # poses at once, whose matrices stay in the cache
 _SERIES = float(np.finfo(float).eps) ** 0.25  # fourth root of rounding errors, [rad]
 
 
 def chunks(count: int) -> Iterator[slice]:
-    """Yield slices of at most ``CHUNK`` that cover so many rows, in order."""
+    """Yield slices of at most ``CHUNK`` rows that cover ``count`` rows in order."""
     for begin in range(0, count, CHUNK):
         yield slice(begin, min(begin + CHUNK, count))
 
 
 def stacked(parts: Sequence[Any]) -> Any:
-    """Return arrays below each other; a single one as it is."""
+    """Return the arrays stacked along the first axis; a single one as it is."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def parted(rows: Any, count: int) -> Any:
-    """Return rows in equal parts, so many, shape (count, N, …): a view."""
+    """Return a view of rows in ``count`` equal parts, shape (count, N, …)."""
     return rows.reshape(count, len(rows) // count, *rows.shape[1:])
 
 
 def repeated(matrices: Array, times: int) -> Array:
-    """Return matrices (N, i, j) so many times below each other, along poses in memory."""
+    """Return matrices (N, i, j) stacked several times, with memory along the poses."""
     if times == 1:
         return matrices
     return np.tile(matrices.transpose(1, 2, 0), times).transpose(2, 0, 1)
 
 
 def product(a: Array, b: Array) -> Array:
-    """Return the product of (N, i, j) and (N, j, k), quick where the sizes are tiny."""
+    """Return the product of (N, i, j) and (N, j, k), fast where i, j and k are tiny."""
     inner = a.shape[2]
     if inner == 0:
         return np.zeros((len(a), a.shape[1], b.shape[2]))
@@ -67,7 +67,7 @@ def solve(a: Array, b: Array) -> Array:
             adjugate = np.array((s, -q, -r, p)).reshape(2, 2, -1).transpose(2, 0, 1)
             return product(adjugate, b) / (p * s - q * r)[:, None, None]
     if np.isfinite(a).all():
-        with suppress(np.linalg.LinAlgError):  # hardly ever is one exactly singular
+        with suppress(np.linalg.LinAlgError):  # rarely is one exactly singular
             return np.asarray(np.linalg.solve(a, b), np.float64)
     finite = np.isfinite(a).all(axis=(1, 2), keepdims=True)
     safe = np.where(finite, a, np.eye(a.shape[1]))
@@ -77,7 +77,7 @@ def solve(a: Array, b: Array) -> Array:
 
 
 def least_squares(a: Array, b: Array) -> Array:
-    """Return the shortest X of least |A X - B|, shapes (N, m, k) and (N, m, j) to (N, k, j)."""
+    """Return the least-norm X of least |A X - B|, shapes (N, m, k) and (N, m, j) to (N, k, j)."""
     if a.shape[1] == a.shape[2]:
         return solve(a, b)
     transposed = a.transpose(0, 2, 1)
@@ -91,7 +91,7 @@ def left_null(matrix: Array) -> Array:
     count, m, p = matrix.shape
     if p == 0:
         return np.broadcast_to(np.eye(m), (count, m, m))
-    if (m, p) in ((2, 1), (3, 2)):  # the vector across: no factorisation needed
+    if (m, p) in ((2, 1), (3, 2)):  # a cross product: no factorisation needed
         if m == 2:
             normal = np.array((-matrix[:, 1, 0], matrix[:, 0, 0])).T
         else:
@@ -106,18 +106,18 @@ def left_null(matrix: Array) -> Array:
 
 
 def over_rows(a: Array, b: Array) -> Array:
-    """Return Σ aᵀ b over all rows, (N, m, i) and (N, m, j) to (i, j): one product of matrices."""
-    rows = a.shape[0] * a.shape[1]  # a leg that is held has no columns, which -1 cannot tell
+    """Return Σ aᵀ b over all rows, (N, m, i) and (N, m, j) to (i, j), as one matrix product."""
+    rows = a.shape[0] * a.shape[1]  # -1 fails for a held leg without columns
     return np.asarray(a.reshape(rows, a.shape[2]).T @ b.reshape(rows, b.shape[2]))
 
 
 def lengths(vectors: Array) -> Array:
-    """Return |v| of shape (N, k), shape (N,); NumPy's own is several times slower."""
+    """Return |v|, shape (N,), of vectors (N, k); NumPy's norm is several times slower."""
     return np.sqrt(np.einsum("nk,nk->n", vectors, vectors))
 
 
 def block_diagonal(parts: Sequence[Array]) -> Array:
-    """Return matrices of shape (N, k, n) along a diagonal, shape (N, Σk, Σn)."""
+    """Return block diagonal matrices, shape (N, Σk, Σn), of blocks of shape (N, k, n)."""
     rows, columns = (np.cumsum([0, *(part.shape[axis] for part in parts)]) for axis in (1, 2))
     diagonal = np.zeros((len(parts[0]), rows[-1], columns[-1]))
     for part, row, column in zip(parts, rows, columns, strict=False):
@@ -126,13 +126,13 @@ def block_diagonal(parts: Sequence[Array]) -> Array:
 
 
 def turned(matrices: Array, vectors: Array) -> Array:
-    """Return R v of poses, shape (N, 4, 4), and vectors (3, k, N or 1), shape (3, k, N)."""
+    """Return R v, shape (3, k, N), for poses (N, 4, 4) and vectors (3, k, N or 1)."""
     every = np.broadcast_to(vectors, (*vectors.shape[:2], len(matrices)))
     return np.einsum("nij,jkn->ikn", matrices[:, :3, :3], every)
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return a × b for shapes (N, 3); NumPy's own is several times slower."""
+    """Return a × b for shapes (N, 3); NumPy's cross is several times slower."""
     (x, y, z), (u, v, w) = a.T, b.T
     products = np.empty((3, *np.broadcast_shapes(x.shape, u.shape)))
     np.subtract(y * w, z * v, out=products[0])
@@ -144,7 +144,8 @@ def cross(a: Array, b: Array) -> Array:
 def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
     """Return the velocity of a platform point for unit platform twists, shape (N, 3, dof).
 
-    Arms go from the platform's origin to it, (N, 3), [m]; it moves in some rows of a twist.
+    ``arm`` is from the platform's origin to the point, (N, 3), [m]; ``twist_rows`` are the
+    platform's freedoms among the six rows of a twist.
     """
     columns = np.zeros((3, len(twist_rows), len(arm)))
     for index, row in enumerate(twist_rows):
@@ -162,7 +163,7 @@ def turn_between(first: Array, second: Array) -> Array:
 
     A turn ω of R₁ changes e by J⁻¹(e) ω, one of R₂ by −J⁻¹(e)ᵀ ω, J⁻¹ the inverse left Jacobian.
     """
-    # from R − Rᵀ, which is quick; farther than a quarter turn, where that gets small again, SciPy's
+    # by R − Rᵀ, which is fast; by SciPy beyond a quarter turn, where R − Rᵀ gets small again
     turns = first @ second.transpose(0, 2, 1)
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turns.transpose(1, 2, 0)
     sines = 0.5 * np.array((zy - yz, xz - zx, yx - xy))
@@ -176,10 +177,10 @@ def turn_between(first: Array, second: Array) -> Array:
 def turn_of_points(
     first: Array, second: Array, space: int, sign: float = 1.0, weights: Array | None = None
 ) -> Array:
-    """Return the rotation (a reflection of sign −1) that best turns points to others, (3, 3).
+    """Return the rotation (or reflection, sign −1) from points to others by least squares, (3, 3).
 
-    Of shape (n, 3) about their centres (Kabsch 1976), with weights of shape (n,), or alike; in the
-    plane across z if space is 2.
+    The points, shape (n, 3), turn about their centres (Kabsch 1976), with optional weights (n,); in
+    the plane normal to z if space is 2.
     """
     a, b = (points - np.average(points, axis=0, weights=weights) for points in (first, second))
     M = b.T @ (a if weights is None else a * weights[:, None])
@@ -191,7 +192,7 @@ def turn_of_points(
 
 
 def inverse_left_jacobian(vectors: Array) -> Array:
-    """Return 1 − S/2 + f S² of rotation vectors, (N, 3, 3); S is v ×, S² = v vᵀ − |v|² 1."""
+    """Return 1 − S/2 + f S² of rotation vectors v, (N, 3, 3), S = [v]ₓ, S² = v vᵀ − |v|² 1."""
     squares = (vectors * vectors).sum(axis=1)
     angles = np.sqrt(squares)
     small = angles < _SERIES

@@ -1,11 +1,11 @@
 """The calibration chain of a leg: its joints and one more joint for each parameter.
 
 Configurations of the chain are linear in the leg's joints and parameters,
-``q = J joints + S parameters``; a tie, such as an azimuth that turns a point but not
-what follows, is a row of S with several entries, a geared joint a row of J in the column of
-the joint that it follows. A parameter that deforms from row to row is at p + ε: ε is one more
-joint, whose column of J is the parameter's of S. If the ratio of gears is a parameter, a position
-is a product, the only one that is not linear.
+``q = J joints + S parameters``. A tie, such as an azimuth that turns a point but not what follows,
+is a row of S with several entries; a geared joint is a row of J in the column of the joint that it
+follows. A parameter that deforms from row to row is p + ε, where ε is one more joint whose column
+of J is the parameter's column of S. Only where a gear ratio is a parameter is a position not
+linear, but a product.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from pincal.model.placement import Placement
 from pincal.types import Array, Index
 
 Begun = tuple[Array, Array, Motion | None]
-"""What parameters put into the moving joints, ratios, and where these begin if not at the base."""
+"""Positions of the moving joints by parameters, gear ratios, and the standing chain before them."""
 _forest = lru_cache(maxsize=64)(Forest)
 
 
 class Chain:
-    """Elementary joints in a row, and how leg joints and parameters move them.
+    """Elementary joints in series, moved by leg joints and parameters.
 
-    The first follow parameters alone: chains that differ only there share the others' forest.
+    The first joints depend on parameters only and stand still from row to row; chains that differ
+    only in these share the forest of the others.
     """
 
     def __init__(
@@ -40,13 +41,13 @@ class Chain:
         elements, rows, geared, tip = elementary_joints(leg, joints)
         named = leaders(leg, joints)
         self.columns = [i for i, joint in enumerate(leg.moving) if joint.name in named]
-        """Which of the leg's moving joints move its tip, in order."""
+        """Indices of the leg's moving joints that move its tip."""
         by_joint, self.by_parameter = np.split(rows, [rows.shape[1] - len(leg.parameters)], axis=1)
         deformed = [leg.parameter_names.index(name) for name in leg.deformed]
         varying = np.concatenate((by_joint, self.by_parameter[:, deformed]), axis=1)
         moving_rows = [*np.flatnonzero(varying.any(axis=1)), *(row for row, *_ in geared)]
         self.standing = int(min(moving_rows, default=0))
-        """How many elementary joints stand still."""
+        """Number of elementary joints that stand still."""
         standing, moving = elements[: self.standing], elements[self.standing :]
         start = moving[0].placement if moving else ()
         self.still = Forest(standing, start, True, 1) if standing or start else None
@@ -54,33 +55,33 @@ class Chain:
             moving = (replace(moving[0], placement=()), *moving[1:])
         self.forest = _forest(moving, tip, spatial, copies)
         self.rates = rows.T
-        """Rates of elementary joints with each leg joint and parameter, shape (k, n)."""
+        """Derivatives of elementary joints by each leg joint and parameter, shape (k, n)."""
         self.entries = [
             (row - self.standing, column, varying[row, column])
             for column, row in np.argwhere(varying.T)
         ]
-        """Of joints, then deformations: which moving elementary joint follows which, how much."""
+        """Moving elementary joint, leg joint (or deformation) that it follows, and derivative."""
         self.geared = tuple((row - self.standing, i, p, sign) for row, i, p, sign in geared)
-        """Moving elementary joints that follow a joint by a parameter (``elementary_joints``)."""
+        """Moving elementary joints with a parameter as gear ratio, see ``elementary_joints``."""
         self.moving = np.flatnonzero(self.by_parameter.any(axis=0))
-        """Parameters that move the tip, in order."""
+        """Indices of parameters that move the tip."""
         shape = (rows.tobytes(), rows.shape, tuple(deformed), self.standing, self.geared)
         self.form = (self.forest, *shape)
-        """What alike chains have in common, wherever they begin."""
+        """Key that is equal for chains of the same form, wherever they begin."""
 
     def begin(self, parameters: Array) -> Begun:
-        """Return what parameters, shape (n_params,), put into the moving joints, and the base."""
+        """Return what depends on the parameters (n_params,) only: see ``Begun``."""
         return _begun(self, parameters.tobytes())
 
     def motion(self, parameters: Array, joints: Array) -> Motion:
-        """Return where the tip is, and how it moves with each leg joint and then each parameter.
+        """Return the tip and its motion with each leg joint, then with each parameter.
 
-        Parameters are (n_params,), joints, then deformations, (N, n_joints [+ n_deformed]).
+        ``parameters`` are (n_params,), ``joints`` with deformations (N, n_joints [+ n_deformed]).
         """
         return motion((self,), (self.begin(parameters),), joints)
 
 
-@lru_cache(maxsize=256)  # the same parameters are asked for several times in turn
+@lru_cache(maxsize=256)  # the same parameters are used several times in turn
 def _begun(chain: Chain, parameters: bytes) -> Begun:
     amounts, s = np.frombuffer(parameters), chain.standing
     values, ratios = chain.by_parameter @ amounts, amounts[[p for _, _, p, _ in chain.geared]]
@@ -91,9 +92,9 @@ def _begun(chain: Chain, parameters: bytes) -> Begun:
 
 
 def motion(chains: Sequence[Chain], begun: Sequence[Begun], joints: Array) -> Motion:
-    """Return where the tips of L alike chains are, and how they move: see ``Chain.motion``.
+    """Return the tips of L chains of the same form and their motion: see ``Chain.motion``.
 
-    Joints of each stand below those of the one before, shape (L N, n_joints …).
+    Joints are stacked chain by chain, shape (L N, n_joints …).
     """
     values = np.stack([values_of_leg for values_of_leg, _, _ in begun])
     q = np.empty((len(chains), len(joints) // len(chains), values.shape[1]))
@@ -135,7 +136,7 @@ def point_chain(leg: Leg, end: int) -> Chain:
 
 
 def leaders(leg: Leg, joints: Sequence[Joint]) -> list[str]:
-    """Return the names of the leg's moving joints that some joints are, or follow, in order."""
+    """Return the names of the leg's moving joints among some joints, or followed by them."""
     led = {joint.leader.joint for joint in joints}
     return [joint.name for joint in leg.moving if joint.name in led]
 
@@ -143,10 +144,11 @@ def leaders(leg: Leg, joints: Sequence[Joint]) -> list[str]:
 def elementary_joints(
     leg: Leg, joints: Sequence[Joint]
 ) -> tuple[tuple[Elementary, ...], Array, list[tuple[int, int, int, float]], tuple[float, ...]]:
-    """Return n elementary joints, how they follow leg joints, then parameters, (n, k), and the tip.
+    """Return n elementary joints, their derivatives, geared ones, and the placement of the tip.
 
-    Before the tip, a constant placement behind the last one, stand those that follow a joint by a
-    parameter: which elementary joint, which leg joint, which parameter, sign.
+    Derivatives, (n, k), are by leg joints, then by parameters. Where a parameter is the ratio of a
+    gear, the third item has the elementary joint, the leg joint, the parameter and the sign. The
+    tip is a constant placement behind the last joint.
     """
     columns = leaders(leg, joints)
     behind, width = len(columns), len(columns) + len(leg.parameters)
@@ -195,20 +197,20 @@ def _key(matrix: Array) -> tuple[float, ...]:
 
 
 class PlatformPoint(NamedTuple):
-    """A platform point and its frame in N rows, or in one for all; k parameters place it."""
+    """A platform point and its frame in N rows (or 1 for all), placed by k parameters."""
 
     parameters: Index
-    """Indices of these parameters, shape (k,)."""
+    """Indices of the parameters, shape (k,)."""
     arm: Array
-    """The vector to it from the platform's origin, shape (3, 1, N), platform axes, [m]."""
+    """Vector from the platform's origin to the point, shape (3, 1, N), platform axes, [m]."""
     twists: Array
-    """Its twists by these parameters, linear first, shape (6, k, N), platform axes."""
+    """Twists of the frame by the parameters, linear first, shape (6, k, N), platform axes."""
     turn: Array
-    """Its frame, shape (N, 3, 3)."""
+    """Orientation of the frame, shape (N, 3, 3)."""
 
 
 def platform_point(leg: Leg, end: int, parameters: Array, deformations: Array) -> PlatformPoint:
-    """Return the platform point of a leg's end; in N rows where deformations, (N, n), move it."""
+    """Return the platform point of a leg's end, in N rows if deformations (N, n) move it."""
     chain = point_chain(leg, end)
     if chain.entries and deformations.shape[1]:
         return _placed(chain, parameters, deformations)

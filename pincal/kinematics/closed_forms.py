@@ -1,11 +1,11 @@
-"""Legs that point at the platform, rods and lines: closed-form inverse kinematics and reach.
+"""Closed-form inverse kinematics and reach of legs with rods or slides.
 
-A pointing joint, a revolute in the plane or a universal in space, carries either a rod, and is
-moved along a circle or a line by a drive (planar dyads, deltas, rotary hexapods, carriages), or a
-slide through its own centre (struts, cables). They start Newton's method on the closure one step
-from its end, and say at once what is out of reach: a shell around the leg's centre, cut by planes,
-which for many positions and orientations at once is a product of matrices. Axes and points are
-read off the chain at zero joint positions, for any parameter values and URDF frames.
+A pointing joint, a revolute in the plane or a universal in space, carries either a rod and is moved
+along a circle or a line by a drive (planar dyads, deltas, rotary hexapods, carriages), or a slide
+through its centre (struts, cables). From the closed form Newton's method on the closure takes one
+step. The reach is a shell around the leg's centre, cut by planes; for many positions and
+orientations at once it is a product of matrices. Axes and points are read off the chain at zero
+joint positions, for any parameter values and URDF frames.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ class ClosedForm:
     the same with q₂ + δ = 0.
 
     A slide goes through the joint's centre. A rod's joint is at C(q) = centre + radius (u cos q +
-    v sin q), with u and v the first columns of the frame, or at C(q) = centre + v q on a line. It
-    is as far from the target as the rod is long: |t − C(q)| = L has two solutions, on either side
-    of where the drive loses its grip, (t − C) · ∂C/∂q = 0. The one on the side of home is taken.
+    v sin q), where u and v are the first columns of the frame, or on a line at C(q) = centre + v q.
+    |t − C(q)| = L has two solutions, on either side of the type-1 singularity (t − C) · ∂C/∂q = 0;
+    the one on the side of home is taken.
     """
 
     closure: LegClosure
     driven: int
-    """The joint that a usual leg of this kind drives: the slide, or that of the rod."""
+    """The joint that is usually driven: the slide, or the drive of the rod."""
     centre: Array
-    """Of the pointing joint; of a rod's circle, or where its line begins, shape (3,), [m]."""
+    """Centre of the pointing joint or a rod's circle, or start of its line, shape (3,), [m]."""
     axes: Array
     """Columns e₁, e₂, e₃, shape (3, 3)."""
     delta: float
     """Angle from e₃ to the pointing direction towards e₁, [rad]."""
     side: float
-    """Sign of cos(q₂ + δ) at home: of the two ways of pointing somewhere, which is meant."""
+    """Sign of cos(q₂ + δ) at home, which selects one of two ways of pointing."""
     length: float
-    """Of a rod, or how far past the centre a slide is at zero, [m]."""
+    """Length of a rod, or distance of a slide past the centre at zero, [m]."""
     mode: float
     """Sign at home of a slide's distance from the centre, or of (t − C) · ∂C/∂q."""
     radius: float = 0.0
-    """Of a rod's circle, [m]; zero for a line."""
+    """Radius of a rod's circle, [m]; zero for a line."""
     frame: Array | None = None
-    """Of a rod: from the circle's centre to the joint, its way, the axis; shape (3, 3)."""
+    """Columns of a rod's circle: radial and tangential direction at zero, axis, shape (3, 3)."""
 
     def to_tip(self, targets: Array) -> Array:
         """Return the vectors from the pointing joint to targets, shape (N, 3), [m]."""
@@ -63,7 +63,7 @@ class ClosedForm:
         return np.asarray((self.frame @ np.array((c * x - s * y, s * x + c * y, z))).T)
 
     def joints(self, targets: Array) -> tuple[Array, Mask]:
-        """Return joints that take the tip to targets, (N, n_joints), and what is in reach.
+        """Return joints that take the tip to targets, (N, n_joints), and which are in reach.
 
         Out of a rod's reach the leg is stretched or folded towards the target.
         """
@@ -76,14 +76,14 @@ class ClosedForm:
         return np.stack((drive, *self._angles((self.frame @ elbow).T))).T, possible
 
     def _from_centre(self, targets: Array) -> Array:
-        """Return the vectors from the centre to targets, (N, 3); in the plane without heights."""
+        """Return the vectors from the centre to targets, (N, 3), with z = 0 in the plane."""
         arm = targets - self.centre
         if self.closure.platform.space == 2:
             arm[:, 2] = 0.0
         return arm
 
     def _angles(self, vectors: Array) -> list[Array]:
-        """Return the joint's angles when it points along vectors (N, 3), one or two, (N,) each."""
+        """Return the joint's one or two angles, (N,) each, when it points along vectors (N, 3)."""
         e1, e2, e3 = self.axes.T
         across, height = self.side * (vectors @ e2), self.side * (vectors @ e3)
         angles = [np.arctan2(-across, height)]
@@ -94,7 +94,7 @@ class ClosedForm:
         return [at_home + wrapped(q - at_home) for q, at_home in zip(angles, home, strict=True)]
 
     def _driven(self, frame: Array, targets: Array) -> tuple[Array, Array, tuple[Array, ...], Mask]:
-        """Return drives (N,), rods turned back to zero, (3, N), turns (cos, sin), and reach."""
+        """Return drives (N,), rods turned to zero (3, N), drives as (cos, sin), and reach."""
         radial, way, height = frame.T @ self._from_centre(targets).T
         with np.errstate(all="ignore"):
             if not self.radius:
@@ -104,35 +104,35 @@ class ClosedForm:
                 return drive, np.array((radial, way - drive, height)), turn, square >= 0.0
             flat = radial * radial + way * way
             far = np.sqrt(flat)
-            safe = np.where(far > 0.0, far, 1.0)  # at O, any angle
+            safe = np.where(far > 0.0, far, 1.0)  # at the centre any angle
             cos = flat + height * height + self.radius**2 - self.length**2
             cos = cos / (2 * self.radius * far)
             cos = np.where(np.isnan(cos), 0.0, cos)
             possible = np.abs(cos) <= 1.0
             cos = np.clip(cos, -1.0, 1.0)
             sin = self.mode * np.sqrt((1 - cos) * (1 + cos))
-            radial, way = radial / safe, way / safe  # the target's, turned to the drive's: no sines
+            radial, way = radial / safe, way / safe  # turned to the drive
             c, s = cos * radial + sin * way, cos * way - sin * radial
         home = self.closure.leg.home[0]
         drive = home + wrapped(np.arctan2(s, c) - home)
         return drive, np.array((far * cos - self.radius, far * sin, height)), (c, s), possible
 
     def reach(self, least_type1: float = 0.0) -> Reach:
-        """Return where the leg can have its tip; a margin from singularities bounds an elbow.
+        """Return the region of the leg's tip; a type-1 margin bounds the elbow.
 
-        The shell of a slide, cut by the first axis' limits; the ring of a dyad, |cos of the elbow|
-        ≤ √(1 − margin²); of rods in space, and on lines, a shell around it all.
+        It is the shell of a slide, cut by the first axis' limits; the ring of a dyad, |cos of the
+        elbow| ≤ √(1 − margin²); a shell around all tips for rods in space and on lines.
         """
         leg, centre, planes = self.closure.leg, self.centre, list[Array]()
         exact, drives = True, leg.active == [self.driven]
-        if not drives:  # the grip of another joint is another quantity
+        if not drives:  # the margin of another joint is another quantity
             exact = least_type1 == 0.0
         if self.frame is None:
             slide = leg.moving[-1]
             ends = (self.mode * (end + self.length) for end in (slide.lower, slide.upper))
             low, high = sorted(ends)
             planes, bounded = self._planes()
-            exact &= bounded and least_type1 <= 1.0 - ROUNDING  # along the leg is full grip
+            exact &= bounded and least_type1 <= 1.0 - ROUNDING  # a drive along the leg has margin 1
         elif self.radius:
             dyad = self.closure.platform.space == 2
             exact &= dyad and not any(joint.limited for joint in leg.moving)
@@ -147,13 +147,13 @@ class ClosedForm:
         slack = ROUNDING * self.closure.size
         point = self.closure.targets(np.eye(4)[None])[0]
         if self.closure.platform.space == 2:
-            centre = np.array([centre[0], centre[1], point[2]])  # heights do not count
+            centre = np.array([centre[0], centre[1], point[2]])  # z does not count
         bounds = (float((low - slack) ** 2) if low > slack else -np.inf, float((high + slack) ** 2))
         normals = np.array(planes if exact else []).reshape(-1, 3)
         return Reach(point, centre, bounds, normals, slack, bool(exact))
 
     def _planes(self) -> tuple[list[Array], bool]:
-        """Return normals of the half-spaces that limits leave a slide, and whether they say all."""
+        """Return normals of the half-spaces of a slide's limits, and whether they are exact."""
         first, *second = self.closure.leg.moving[:-1]
         planes, exact = [], True
         if first.limited:
@@ -189,7 +189,7 @@ def closed_form(closure: LegClosure) -> ClosedForm | None:
     zero, home = closure.motion(joints).twists(slice(len(kinds))).transpose(2, 0, 1)
     driven = 0 if rod else len(kinds) - 1
     turning = np.delete(zero, driven, axis=1)
-    start = _arm(turning)  # from where the axes cross to the tip
+    start = _arm(turning)  # from the crossing of the axes to the tip
     arm = start if rod else zero[:3, -1]
     length, e1 = float(np.linalg.norm(arm)), turning[3:, 0]
     e2 = np.cross(arm / max(length, small), e1) if space == 2 else turning[3:, 1]
@@ -209,7 +209,7 @@ def closed_form(closure: LegClosure) -> ClosedForm | None:
 
 
 def _rod(form: ClosedForm, zero: Array, home: Array) -> ClosedForm | None:
-    """Return the form of a rod with its drive, of twists at zero and at home, (6, n)."""
+    """Return the form of a rod with its drive from twists at zero and at home, (6, n)."""
     axis, at_home, radius = zero[3:, 0], _arm(home), 0.0
     way = zero[:3, 0] - np.cross(axis, _arm(zero))
     if np.linalg.norm(way) <= ROUNDING * form.closure.size:
@@ -231,19 +231,19 @@ def _sign(value: float) -> float:
 
 
 def _arm(columns: Array) -> Array:
-    """Return the arm from the last axis, which it crosses at a right angle, to the tip, (3,)."""
+    """Return the perpendicular from the last axis to the tip, (3,)."""
     return np.cross(columns[:3, -1], columns[3:, -1])
 
 
 def is_line(closure: LegClosure) -> bool:
-    """Return whether a leg is a driven slide on a universal joint: both its ways are one line."""
+    """Return whether a leg is a driven slide on a universal joint, with one working mode."""
     form = closed_form(closure)
     return closure.leg.active == [2] and form is not None and form.frame is None
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Tips that a leg reaches within its limits; at dyads with an elbow margin."""
+    """Region of tips that a leg reaches within its limits, for dyads with an elbow margin."""
 
     point: Array
     """Platform point b, platform frame, shape (3,), [m]."""
@@ -254,9 +254,9 @@ class Reach:
     normals: Array
     """Half-spaces n · (tip − centre) ≥ −slack, unit normals, shape (n_planes, 3)."""
     slack: float
-    """[m]."""
+    """Tolerance of the half-spaces, [m]."""
     exact: bool
-    """Whether nothing else limits the leg; else the shell is necessary, not sufficient."""
+    """Whether the region is sufficient; otherwise it is only necessary."""
 
     def holds(self, matrices: Array) -> Mask:
         """Return which poses ``T_base_platform``, shape (N, 4, 4), the leg reaches."""
@@ -268,9 +268,9 @@ class Reach:
         return inside
 
     def holds_each(self, positions: Array, arms: Array) -> Mask:
-        """Return which pairs of position (P, 3), [m], and orientation are reached, (P, O).
+        """Return which pairs of a position (P, 3), [m], and an orientation are reached, (P, O).
 
-        Arms are the platform point turned by each orientation, R b, shape (3, O), [m].
+        ``arms`` are the platform point R b for each orientation, shape (3, O), [m].
         """
         # |r + R b − c|² = |r − c|² + |b|² + 2 (r − c) · R b
         offset = positions - self.centre

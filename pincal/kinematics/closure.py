@@ -2,11 +2,11 @@
 
 Closure is a platform-point constraint in the rows that the mechanism can move in:
 c(x, θ, p; φ) = p_tip(θ, p; φ) − (r + R b(φ)) = 0, with pose x, active joints θ,
-passive joints p and parameters φ. A leg that closes a frame has rows for its turn as well:
+passive joints p and parameters φ. A leg that closes a frame also has rows of its orientation:
 the rotation vector from the platform's frame to the tip's, times the leg's size. Passive joints
-are eliminated by projection on the left null space N of ∂c/∂p: Nᵀ c is what the leg demands of
-pose, readings and parameters, one equation of a usual leg, six of a serial arm. Rows of the ends of
-a tree are stacked; a loop within is an end that meets another frame of the leg.
+are eliminated by projection on the left null space N of ∂c/∂p: Nᵀ c is the leg's condition on
+pose, readings and parameters, one equation for a usual leg, six for a serial arm. The rows of the
+ends of a tree are stacked; a loop within a leg is an end that meets another frame of the leg.
 """
 
 from __future__ import annotations
@@ -39,30 +39,30 @@ from pincal.types import Array
 
 @dataclass(frozen=True)
 class Closure:
-    """Closure c of alike legs, and its derivatives, at N configurations; m rows are kept.
+    """Closure c of legs of one form, and its derivatives, at N configurations, in m rows.
 
-    Each is worked out where it is asked for. A row of Nᵀc is a force on the tip, whose power along
-    a motion is what the row changes by: of many parameters only that is worked out.
+    Each is computed when it is asked for. A row of Nᵀc is a force on the tip; its derivative by a
+    parameter is the power of that force, so that ∂c/∂φ itself need not be computed.
     """
 
     leg: LegClosure
-    """The first of the legs; all have its form."""
+    """The first of the legs."""
     matrices: Array
     """Poses, shape (N, 4, 4)."""
     motion: Motion
-    """Of the tip by the leg's joints, then by its parameters."""
+    """Motion of the tip by the leg's joints, then by its parameters."""
     point: PlatformPoint
 
     @cached_property
     def arm(self) -> Array:
-        """R b, the platform point from the platform's origin, base axes, shape (3, N), [m]."""
+        """R b, from the platform's origin to the platform point, base axes, shape (3, N), [m]."""
         return turned(self.matrices, self.point.arm)[:, 0]
 
     @cached_property
     def turning(self) -> tuple[Array, Array, Array] | None:
-        """Of a leg that closes a frame: the r rows of c for its turn, (N, r), [m].
+        """The r rows of c for the orientation of a leg that closes a frame, (N, r), [m].
 
-        And how turns of the tip and of the platform change them, (N, r, 3) each.
+        Then their derivatives by rotations of the tip and of the platform, (N, r, 3) each.
         """
         if not self.leg.turns:
             return None
@@ -133,7 +133,7 @@ class Closure:
 
     @cached_property
     def drive(self) -> Array:
-        """Nᵀ ∂c/∂θ, shape (N, m - n_passive, n_active): less of rank at a type-1 singularity."""
+        """Nᵀ ∂c/∂θ, shape (N, m - n_passive, n_active); it loses rank at a type-1 singularity."""
         return self.project(self.active)
 
     @cached_property
@@ -162,14 +162,14 @@ class Closure:
         return power.transpose(2, 0, 1)
 
     def passive_step(self, gap_change: Array | None = None) -> Array:
-        """Return the Gauss-Newton step of passive joints, (N, n_passive), if c changes, (N, m)."""
+        """Return the Gauss-Newton step of passive joints, (N, n_passive), c changed by (N, m)."""
         gap = self.gap if gap_change is None else self.gap + gap_change
         transposed = self.passive.transpose(0, 2, 1)
         normal = product(transposed, self.passive)
         return -solve(normal, product(transposed, gap[:, :, None]))[:, :, 0]
 
     def _rows(self, twists: Array) -> Array:
-        """Return rows of the closure by twists of the tip, (3 or 6, k, N), shape (N, m, k)."""
+        """Return the closure's derivatives (N, m, k) by twists of the tip (3 or 6, k, N)."""
         rows = twists[: self.leg.linear].transpose(2, 0, 1)
         if self.turning is None:
             return rows
@@ -178,10 +178,10 @@ class Closure:
 
 
 class Loop(NamedTuple):
-    """Closure of an end that meets a frame of its own leg, in that frame: see ``Closure``."""
+    """Closure of an end that meets a frame of its own leg, in this frame: see ``Closure``."""
 
     leg: LegClosure
-    """Of that end."""
+    """Closure of that end."""
     gap: Array
     by_joints: Array
     parameter: Array
@@ -190,7 +190,7 @@ class Loop(NamedTuple):
 
 
 def _loop(end: LegClosure, joints: Array) -> Loop:
-    """Return the closure of a loop, of the twist of its tip against the frame, taken at the tip."""
+    """Return the closure of a loop, by the twist of its tip relative to the frame at the tip."""
     tip, frame = (c.motion(end.parameters, end.along(joints, c)) for c in end.chains)
     to_frame = frame.turns.transpose(0, 2, 1)
     gap = np.einsum("nij,jn->ni", to_frame, tip.tips - frame.tips)
@@ -211,7 +211,7 @@ def _loop(end: LegClosure, joints: Array) -> Loop:
 
 @dataclass(frozen=True)
 class TreeClosure(Closure):
-    """Closure of a leg with several ends at N configurations: their rows, stacked."""
+    """Stacked closures of a leg with several ends at N configurations."""
 
     parts: tuple[Closure | Loop, ...]
 
@@ -242,7 +242,7 @@ class TreeClosure(Closure):
 
 
 class LegClosure:
-    """Closure of one leg at parameter values, or of one of its ends alone: a hashed value."""
+    """Closure of one leg, or of one of its ends, at parameter values; hashable."""
 
     def __init__(
         self, leg: Leg, platform: Platform, parameters: Array | None = None, end: int | None = None
@@ -254,7 +254,7 @@ class LegClosure:
         self.rows = list(platform.closing(met))
         self.axes = [row - 3 for row in self.rows if row >= 3]
         self.linear = len(self.rows) - len(self.axes)
-        """Number of rows that are not of the turn."""
+        """Number of rows without those of the orientation."""
         self.turns = met.closes == "frame"
         spatial = platform.space == 3 or self.turns or met.point is None
         self.chains = [leg_chain(leg, spatial, name) for name in met.frames]
@@ -266,7 +266,7 @@ class LegClosure:
             ends = range(len(leg.every_end))
             self.ends = tuple(LegClosure(leg, platform, self.parameters, i) for i in ends)
         self.projects = self.turns or bool(self.ends)
-        """Whether derivatives of Nᵀc are those of c, projected."""
+        """Whether derivatives of Nᵀc are projections of those of c."""
         self._key = (leg, platform, self.parameters.tobytes())
         self._hash = hash(self._key)
 
@@ -293,13 +293,13 @@ class LegClosure:
 
     @cached_property
     def deformations(self) -> SensorLaw:
-        """What parameters deform by."""
+        """Deformations of the parameters."""
         return law_of_deformations(self.leg, self.by_name)
 
     def deformed(self, joints: Array, influences: Array | None = None) -> Array:
-        """Return joint positions with deformations behind, (N, n_joints + n_deformed).
+        """Return joint positions followed by deformations, (N, n_joints + n_deformed).
 
-        Influences of the leg, shape (N, n_influences), are at their reference if not given.
+        ``influences`` of the leg, shape (N, n_influences), are by default at their reference.
         """
         if not self.leg.deformed:
             return joints
@@ -313,11 +313,11 @@ class LegClosure:
         return platform_point(self.leg, self.end, self.parameters, deformations)
 
     def motion(self, joints: Array) -> Motion:
-        """Return where the leg's tip is, and how it moves: see ``evaluate``."""
+        """Return the leg's tip and its motion: see ``evaluate``."""
         return self.chain.motion(self.parameters, self.along(joints, self.chain))
 
     def along(self, joints: Array, chain: Chain) -> Array:
-        """Return those of joint positions and deformations that are of a chain of the leg."""
+        """Return the joint positions and deformations that belong to a chain of the leg."""
         n = len(self.leg.moving)
         if len(chain.columns) == n:
             return joints
@@ -329,12 +329,12 @@ class LegClosure:
         return np.concatenate((tips, np.zeros((3 - len(tips), tips.shape[1])))).T
 
     def evaluate(self, joints: Array, matrices: Array) -> Closure:
-        """Return closure and derivatives at joints, see ``deformed``, and poses (N, 4, 4)."""
+        """Return the closure at joints (see ``deformed``) and poses (N, 4, 4)."""
         return evaluate((self,), joints, matrices)
 
     @cached_property
     def form(self) -> tuple[object, ...]:
-        """What alike legs, which may be evaluated in one call, have in common."""
+        """Key that is equal for legs of one form, which are evaluated in one call."""
         leg, placing = self.leg, self.point_at(self.leg.home[None]).parameters
         if leg.deformed or self.projects:
             return (object(),)
@@ -342,7 +342,7 @@ class LegClosure:
         return (*self.chain.form, self.platform, *sizes, *leg.active, "passive", *leg.passive)
 
     def frame(self, joints: Array) -> Array:
-        """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4)."""
+        """Return the platform's poses by joints of a leg that closes a frame, (N, 4, 4)."""
         moved, point = self.motion(joints), self.point_at(joints)
         matrices = np.tile(np.eye(4), (len(joints), 1, 1))
         matrices[:, :3, :3] = moved.turns @ point.turn.transpose(0, 2, 1)
@@ -351,7 +351,7 @@ class LegClosure:
 
 
 def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Closure:
-    """Return closure and derivatives of L alike legs, N rows of each below those of the one before.
+    """Return the closure of L legs of one form, with N rows each, leg by leg.
 
     Joints have shape (L N, n_joints …), poses (L N, 4, 4): see ``LegClosure.evaluate``.
     """
@@ -368,13 +368,13 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
     points, count = [leg.point_at(joints) for leg in legs], len(joints) // len(legs)
     if len(legs) == 1:
         return Closure(legs[0], matrices, moved, points[0])
-    parts = zip(*((point.arm, point.twists) for point in points), strict=True)  # none deforms
+    parts = zip(*((point.arm, point.twists) for point in points), strict=True)  # undeformed
     arm, twists = (np.repeat(np.concatenate(part, axis=2), count, axis=2) for part in parts)
     return Closure(legs[0], matrices, moved, points[0]._replace(arm=arm, twists=twists))
 
 
 def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: Array) -> Array:
-    """Return what a function gives of L alike legs and their rows, each below the one before."""
+    """Return a function's values for L legs of one form and their rows, stacked leg by leg."""
     if len(legs) == 1:
         return function(legs[0], *columns)
     parts = zip(legs, *(parted(column, len(legs)) for column in columns), strict=True)
@@ -382,7 +382,7 @@ def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: A
 
 
 def joint_range(leg: Leg) -> tuple[Array, Array]:
-    """Return the ends of each moving joint's range, (n_joints,): limits, or a turn about home."""
+    """Return the ends of the joints' ranges, (n_joints,) each: limits, or a turn about home."""
     free = np.array([not joint.limited for joint in leg.moving])
     low, high = np.array([(joint.lower, joint.upper) for joint in leg.moving]).T
     return np.where(free, leg.home - np.pi, low), np.where(free, leg.home + np.pi, high)

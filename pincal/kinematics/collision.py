@@ -1,4 +1,4 @@
-"""Configurations at which the bodies of a robot do not collide, by the geometry of its URDF."""
+"""Configurations without collisions of a robot's bodies, by the geometry in its URDF."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
 
-_CLOSE = 2  # joints: bodies nearer than that along the chain touch by design
+_CLOSE = 2  # joints between bodies; nearer ones touch by design
 
 
 def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path) -> Plan:
-    """Return the configurations, with readings, at which an arm is free of itself by its URDF.
+    """Return the configurations, with readings, at which an arm does not collide with itself.
 
-    Raises: see ``free_of_collision``; ObservabilityError where every configuration collides.
+    Raises: see ``free_of_collision``; ObservabilityError if every configuration collides.
     """
     leg = mechanism.legs[0]
     if len(mechanism.legs) > 1 or leg.passive or offered.readings is None:
@@ -35,19 +35,19 @@ def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path)
 
 
 def free_of_collision(path: str | Path, joints: Sequence[str], positions: Array) -> Mask:
-    """Return where the bodies of a robot do not collide with each other, shape (N,).
+    """Return at which positions the bodies of a robot do not collide, shape (N,).
 
-    Bodies of neighbouring joints touch by design and are not compared, nor are those that already
-    collide where all joints are at zero. ``package://`` is looked for above the URDF's folder.
+    Bodies of neighbouring joints touch by design and are not compared, nor are bodies that collide
+    with all joints at zero. ``package://`` is resolved in the folders above the URDF.
 
     Args:
         path: URDF with collision geometry.
         joints: Names of the joints that move; the others stay at their neutral positions.
-        positions: Of these joints, shape (N, n), [rad] or [m].
+        positions: Positions of these joints, shape (N, n), [rad] or [m].
 
     Raises:
         FileError: the file or one of its meshes cannot be read.
-        MechanismError: no such joint, or no collision geometry.
+        MechanismError: a joint does not exist, or there is no collision geometry.
     """
     model, shapes = _collision_model(Path(path).absolute())
     if unknown := [name for name in joints if not model.existJointName(name)]:
@@ -76,7 +76,7 @@ def free_of_collision(path: str | Path, joints: Sequence[str], positions: Array)
 
 
 def _collision_model(path: Path) -> tuple[pin.Model, pin.GeometryModel]:
-    """Return a URDF's joints, and the shapes of its bodies."""
+    """Return the joints of a URDF, and the shapes of its bodies."""
     if not path.is_file():
         raise FileError(f"cannot read {path}: no such file")
     try:

@@ -1,7 +1,7 @@
-"""What one leg demands of pose, reading and parameters, linearised: the rows of identification.
+"""The linearised condition of one leg on pose, readings and parameters.
 
-A closed leg demands e = Nᵀ c(x, θ(ψ), p; φ) = 0. Its derivatives are by parameters φ, pose x and
-reading ψ; those of the predicted reading, the identification Jacobian, are −(∂e/∂ψ)⁻¹ ∂e/∂φ.
+A closed leg satisfies e = Nᵀ c(x, θ(ψ), p; φ) = 0. Its derivatives are by parameters φ, pose x and
+readings ψ; those of the predicted reading, the identification Jacobian, are −(∂e/∂ψ)⁻¹ ∂e/∂φ.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from pincal.model.checks import EXACT
 from pincal.model.platform import Poses
 from pincal.types import Array, Mask
 
-_STEPS = 60  # of Newton's method
-_SMALL = 1e-8  # step at which it ends: Nᵀ c is off by its square
-_FAR = 1e-2  # of a leg's size, from which a gap's curvature counts
+_STEPS = 60  # largest number of Newton steps
+_SMALL = 1e-8  # last step; Nᵀ c is off by its square
+_FAR = 1e-2  # gap over a leg's size, above which its curvature counts
 
 
 def nearest_closure(
     legs: Sequence[LegClosure], matrices: Array, known: Array, joints: Array | None = None
 ) -> tuple[Closure, Array]:
-    """Return the closure of L alike legs at poses and readings, |c| least, and the joints.
+    """Return the closures of L legs of one form at poses and readings with least |c|, and joints.
 
-    What is left of the closure, Nᵀ c, exists out of reach and stays tame near singularities. Poses
-    are (L N, 4, 4), readings, then influences, (L N, n_active [+ n_influences]). Passive joints
-    start near those that close the legs, or at joints (L N, n_joints [+ n_deformed]).
+    The residual Nᵀ c exists out of reach and is smooth near singularities. Poses are (L N, 4, 4),
+    readings with influences (L N, n_active [+ n_influences]). Passive joints start near those that
+    close the legs, or at ``joints``, (L N, n_joints [+ n_deformed]).
     """
     leg = legs[0].leg
     positions, count = started(legs, matrices, known, joints), len(matrices) // len(legs)
@@ -51,10 +51,10 @@ def nearest_closure(
 
 
 def _curved_step(closed: Closure, rows: Mask) -> Array:
-    """Return Newton steps of passive joints where points stay far apart, shape (n, n_passive)."""
-    # Gauss-Newton steps are right where c is 0; out of reach the paths' curvature c · (ω_i × v_j),
-    # i ≤ j, counts as much, and without it they overshoot. Where |c| is no minimum along a
-    # direction, the step goes down it (saddle-free Newton).
+    """Return Newton steps of passive joints where points stay far apart, (n, n_passive)."""
+    # Gauss-Newton steps are right where c is 0; out of reach the curvature of the paths, c · (ω_i ×
+    # v_j) for i ≤ j, counts as much, and without it steps overshoot. Along directions of negative
+    # curvature the step goes downhill (saddle-free Newton).
     gap, J = closed.gap[rows], closed.passive[rows]
     n, m = len(gap), gap.shape[1]
     turning, space = np.zeros((3, J.shape[2], n)), np.zeros((n, 3, J.shape[2] + 1))
@@ -72,20 +72,20 @@ def _curved_step(closed: Closure, rows: Mask) -> Array:
     values, vectors = np.linalg.eigh(product(transposed, J) + bend)
     downhill = vectors.transpose(0, 2, 1) @ product(transposed, gap[:, :, None])
     steepest = np.abs(values).max(axis=1, keepdims=True)
-    least = np.maximum(EXACT * steepest, np.finfo(float).tiny)  # a slide of no length goes nowhere
+    least = np.maximum(EXACT * steepest, np.finfo(float).tiny)  # not zero
     steps = vectors @ (downhill[:, :, 0] / np.maximum(np.abs(values), least))[:, :, None]
     return -np.asarray(steps)[:, :, 0]
 
 
 class Demand(NamedTuple):
-    """Nᵀ c of one leg and its derivatives at N poses; one row where joints are as many as rows."""
+    """Nᵀ c of one leg and its derivatives at N poses."""
 
     value: Array
     """e = Nᵀ c, shape (N, k), [m]."""
     pose: Array
     """∂e/∂x for the platform's freedoms as a twist, shape (N, k, dof), [1] and [m/rad]."""
     joints: Array
-    """Joint positions there, deformations behind, shape (N, n_joints [+ n_deformed])."""
+    """Joint positions with deformations, shape (N, n_joints [+ n_deformed])."""
     parameter: Array
     """∂e/∂φ, shape (N, k, n_params), [m/unit]."""
     reading: Array
@@ -100,9 +100,9 @@ class Demand(NamedTuple):
 def demands(
     legs: Sequence[LegClosure], known: Array, closure: Closure, joints: Array
 ) -> list[Demand]:
-    """Return what each of L alike legs demands, from their closures at N configurations.
+    """Return the demands of L legs of one form by their closures at N configurations.
 
-    Known are readings, then influences, shape (L N, n_active [+ n_influences]).
+    ``known`` are readings with influences, shape (L N, n_active [+ n_influences]).
     """
     by_parameter, drive = closure.constraint_by_parameter, closure.drive
     columns = (closure.constraint, closure.constraint_by_pose, joints, by_parameter, drive, known)
@@ -114,7 +114,7 @@ def demands(
 
 
 def _derivatives(leg: LegClosure, rows: Array, drive: Array, known: Array) -> tuple[Array, Array]:
-    """Return ∂e/∂φ, (N, k, n_params), and ∂e/∂ψ, (N, k, n_active), by what rows of geometry are."""
+    """Return ∂e/∂φ, (N, k, n_params), and ∂e/∂ψ, (N, k, n_active), from the geometry's rows."""
     law, parameter = sensor_law(leg), rows.copy("K")
     parameter[:, :, law.parameter_places] += product(drive, law.by_parameter(known))
     reading = drive * law.slopes(known)[..., None, :]
@@ -133,11 +133,11 @@ def leg_demands_at(
     influences: Sequence[Array] | None = None,
     near: Sequence[Array] = (),
 ) -> list[Demand]:
-    """Return what legs demand, each at N poses (N, 4, 4) of its own, alike ones in one call.
+    """Return the demands of legs, each at its own poses (N, 4, 4); legs of one form in one call.
 
-    Known are of each leg readings, then influences, (N, n_active [+ n_influences]): passive joints
-    are where it closes best, searched from joints near. If not known, readings are those of inverse
-    kinematics at influences, or their reference: values are zero, and all is NaN out of reach.
+    ``known`` has each leg's readings with influences, (N, n_active [+ n_influences]); passive
+    joints are at best closure, searched from joints ``near``. Without it, readings are by inverse
+    kinematics at ``influences``, or their reference: values are zero, and NaN out of reach.
     """
     forms = [(leg.form, len(poses)) for leg, poses in zip(legs, placed, strict=True)]
     influences = influences or [np.zeros((len(poses), 0)) for poses in placed]
@@ -156,7 +156,7 @@ def _alike_demands(
     known: Sequence[Array] | None,
     near: Sequence[Array] | None,
 ) -> list[Demand]:
-    """Return what alike legs demand, worked out in chunks of rows: see ``leg_demands_at``."""
+    """Return the demands of legs of one form in chunks of rows: see ``leg_demands_at``."""
     parts = []
     for rows in list(chunks(len(placed[0]))) or [slice(0)]:
         matrices = stacked([poses[rows] for poses in placed])
@@ -196,10 +196,10 @@ def identification_jacobian(
         mechanism: The mechanism.
         leg: Name of the leg.
         poses: N platform poses: coordinates, shape (N, dof), or transforms.
-        parameters: Parameter values of the leg, shape (n_params,); nominal if not given.
+        parameters: Parameter values of the leg, shape (n_params,); by default nominal.
 
     Raises:
-        MechanismError: unknown leg; poses of a wrong shape, or not finite.
+        MechanismError: the leg is unknown; poses have a wrong shape, or are not finite.
 
     Example:
         >>> import pincal

@@ -1,8 +1,8 @@
 """A forest is one Pinocchio model with many copies of a chain: one call evaluates many poses.
 
-A call from Python into Pinocchio costs more than the kinematics of one leg: with B copies side by
-side, ``data.J`` of one ``computeJointJacobians`` holds every joint column of every copy. For other
-programs a mechanism is one model with its loops as constraints (``pinocchio_model``).
+A call from Python into Pinocchio costs more than the kinematics of one leg. With B copies side by
+side, ``data.J`` of one ``computeJointJacobians`` holds the joint columns of all copies. For other
+programs, ``pinocchio_model`` makes one model of a mechanism with its loops as constraints.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _JOINTS = {
     "t": pin.JointModelPrismaticUnaligned,
     "r": pin.JointModelRevoluteUnaligned,
 }
-_COLUMNS = 40  # keep nv near this: calls cost what they do with 64, Pinocchio's data a quarter
+_COLUMNS = 40  # best nv: calls cost as much as with 64, Pinocchio's data a quarter
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Elementary:
-    """An elementary joint after a constant placement: axis letter, or ``t``/``r`` and a vector."""
+    """An elementary joint behind a constant placement: an axis, or ``t``/``r`` and a vector."""
 
     axis: str
     placement: tuple[float, ...] = ()
@@ -45,7 +45,7 @@ class Elementary:
     vector: Vector = (0.0, 0.0, 1.0)
 
     def added_to(self, model: pin.Model, parent: int) -> int:
-        """Add the joint to a model of Pinocchio's behind another one; return its index."""
+        """Add the joint to a Pinocchio model behind its parent; return its index."""
         kind, along = _JOINTS[self.axis], self.axis in ("t", "r")
         joint = kind(np.array(self.vector)) if along else kind()
         placement = np.reshape(self.placement, (4, 4)) if self.placement else np.eye(4)
@@ -62,11 +62,12 @@ class Forest:
         spatial: bool = True,
         copies: int | None = None,
     ) -> None:
-        """Make so many copies of a chain of joints, base first, or as many as pay.
+        """Make copies of a chain of joints, base first; by default the best number of copies.
 
-        Behind the last joint the tip is a constant placement, in space or in the plane across z.
+        The tip is a constant placement behind the last joint. A chain that is not spatial moves in
+        the plane normal to z.
         """
-        chain = chain or (Elementary("rz"),)  # one that nobody turns
+        chain = chain or (Elementary("rz"),)  # a joint that stays at zero
         self.chain, self.spatial = chain, spatial
         self.copies = copies or max(1, _COLUMNS // len(chain))
         self.width = len(chain)
@@ -77,20 +78,20 @@ class Forest:
             for joint in chain:
                 parent = joint.added_to(self._model, parent)
         self._data = self._model.createData()
-        # Pinocchio's own memory: where copies begin, and what each call writes again
+        # views of Pinocchio's memory: the roots of the copies, and what each call writes
         self._roots = placements_in(self._model.jointPlacements)[1 :: self.width]
         self._origin = self._roots[0].copy()
         self._columns = _bytes(self._data.J.T)
         self._ends = placements_in(self._data.oMi)[self.width :: self.width]
-        self._turn = Lock()  # Pinocchio's data are one thread's at a time
+        self._turn = Lock()  # one thread at a time may use Pinocchio's data
 
     def motion(
         self, configurations: Array, rates: Array, bases: Sequence[Motion | None] = (None,)
     ) -> Motion:
-        """Return where the tips of L alike chains are and how they move.
+        """Return the tips of L chains and their motion.
 
-        Configurations are (L, N, n), rates of the joints in k motions (k, n). Each chain begins
-        where another one ends that stands still, or at the base's origin.
+        ``configurations`` are (L, N, n), ``rates`` of the joints in k motions (k, n). Each chain
+        begins at the tip of a standing chain of ``bases``, or at the base's origin.
         """
         legs, count, n = configurations.shape
         blocks, size = -(-count // self.copies), self.copies * self.width
@@ -106,9 +107,9 @@ class Forest:
                 self._roots[:] = root
                 for block, q in enumerate(padded[leg].reshape(blocks, size), leg * blocks):
                     evaluate(model, data, q)
-                    to_columns[block * length : (block + 1) * length] = self._columns  # as they lie
+                    to_columns[block * length : (block + 1) * length] = self._columns  # as stored
                     ends[block] = self._ends
-        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
+        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # others are zero in the plane
         columns = columns.reshape(legs, -1, self.width, 6)[:, :count, :n]
         twists = np.empty((len(rows), n, legs, count))
         for target, row in zip(twists, rows, strict=True):
@@ -131,23 +132,23 @@ class Forest:
 
 @dataclass(frozen=True)
 class Motion:
-    """Tips of chains at N configurations, and their velocities in k motions; base frame.
+    """Tips of chains at N configurations, and their twists in k motions, in the base frame.
 
-    In the plane across z positions and velocities have two rows, and turning one.
+    In the plane normal to z, positions have two rows, and twists x, y and the rate about z.
     """
 
     tips: Array
-    """Shape (2 or 3, N), [m]."""
+    """Positions of the tips, shape (2 or 3, N), [m]."""
     turns: Array
-    """Orientations of the tip in space, shape (N, 3, 3); none in the plane, shape (0, 3, 3)."""
+    """Orientations of the tips in space, shape (N, 3, 3); (0, 3, 3) in the plane."""
     columns: Array
     """Twists at the base's origin by the chain's joints, linear first, shape (3 or 6, n, N)."""
     rates: Array
-    """Of the joints in each motion, shape (k, n)."""
+    """Rates of the joints in each motion, shape (k, n)."""
     begun: Array | None
-    """Twists at the base's origin by what moves where each chain begins, (L, 3 or 6, k)."""
+    """Twists at the base's origin of the points where the chains begin, (L, 3 or 6, k)."""
     products: tuple[tuple[int, int, Array], ...] = ()
-    """Motions that move a joint by what differs from row to row: which, which joint, (N,)."""
+    """Motions in which the rate of a joint differs from row to row: motion, joint, rates (N,)."""
 
     def twists_at_tip(self, motions: slice | list[int]) -> Array:
         """Return twists at the tip in some motions, linear first, shape (3 or 6, s, N)."""
@@ -173,8 +174,8 @@ class Motion:
         return twists
 
     def power(self, force: Array, after: int) -> Array:
-        """Return the power of forces at the tip, (2 or 3, N), in motions after so many, (k', N)."""
-        # the same at every point: taken at the base's origin, no twist has to be carried on
+        """Return the power (k', N) of forces (2 or 3, N) at the tip in motions from ``after``."""
+        # power does not depend on the point: at the base's origin no twist has to be moved
         at_origin = wrench(self.tips, force)
         by_joint = np.einsum("rjn,rn->jn", self.columns, at_origin)
         power = self.rates[after:] @ by_joint
@@ -190,7 +191,7 @@ class Motion:
         return np.asarray(power)
 
     def twists(self, motions: slice | list[int] = slice(None)) -> Array:
-        """Return twists at the tip in space, linear first: of all motions, (6, k, N), or some."""
+        """Return twists at the tip with all six rows, linear first, (6, k, N), in some motions."""
         rows, m = self.twists_at_tip(motions), len(self.tips)
         full = np.zeros((6, *rows.shape[1:]))
         full[:m], full[6 - (len(rows) - m) :] = rows[:m], rows[m:]
@@ -198,14 +199,14 @@ class Motion:
 
 
 def wrench(arm: Array, force: Array) -> Array:
-    """Return force and arm × force, (3 or 6, N), of shapes (2 or 3, N): in the plane x, y, rz."""
+    """Return force and arm × force, (3 or 6, N), of shapes (2 or 3, N); in the plane x, y, rz."""
     if len(force) == 2:
         return np.concatenate((force, (arm[0] * force[1] - arm[1] * force[0])[None]))
     return np.concatenate((force, cross(arm.T, force.T).T))
 
 
 def pinocchio_model(mechanism: Mechanism) -> tuple[pin.Model, list[pin.RigidConstraintModel]]:
-    """Return a mechanism as one model, and what closes its loops: see ``Mechanism.pinocchio``."""
+    """Return a mechanism as one model, and its loop constraints: see ``Mechanism.pinocchio``."""
     model, met = pin.Model(), list[tuple[pin.ContactType, int, pin.SE3, int, pin.SE3]]()
     model.name, platform = mechanism.name, 0
     links = [_add_leg(model, leg) for leg in mechanism.legs]
@@ -235,7 +236,7 @@ def pinocchio_model(mechanism: Mechanism) -> tuple[pin.Model, list[pin.RigidCons
 
 
 def _add_leg(model: pin.Model, leg: Leg) -> dict[str, tuple[int, pin.SE3]]:
-    """Add the joints of a leg to a model; return each frame's joint and its place there."""
+    """Add the joints of a leg to a model; return the joint of each frame and its placement."""
     links: dict[str, tuple[int, pin.SE3]] = {}
     for joint, carrier in zip(leg.joints, leg.carriers, strict=True):
         if joint.follows:
@@ -262,17 +263,17 @@ def _mass(mass: float, centre: Vector) -> pin.Inertia:
 
 
 def placements_in(memory: pin.StdVec_SE3) -> Array:
-    """Return n placements where Pinocchio keeps them, shape (n, 12): to be read and written there.
+    """Return a view of n placements in Pinocchio's memory, shape (n, 12), to read and write.
 
-    Rotation matrices column by column, then positions; as long as model or data stay as they are.
-    TypeError if this Pinocchio keeps them in another way.
+    A row is a rotation matrix column by column, then the position. The view is valid as long as the
+    model or data. Raises TypeError if this Pinocchio has another memory layout.
     """
     first, last, size = memory[0].rotation, memory[-1], memory[0].rotation.itemsize
     begin, end, position = (
         array.__array_interface__["data"][0] for array in (first, last.rotation, last.translation)
     )
     if end - begin != 12 * size * (len(memory) - 1) or position - end != 9 * size:
-        raise TypeError(f"pin {pin.__version__} keeps placements in another way")
+        raise TypeError(f"pin {pin.__version__} has another memory layout of placements")
     return as_strided(first, (len(memory), 12), (12 * size, size))
 
 

@@ -1,6 +1,6 @@
-"""Influence quantities of rows: what terms depend on beside readings, as columns.
+"""Influence quantities of rows: columns that terms depend on beside readings.
 
-From which side a joint came follows from the order of rows where no column says it.
+The side from which a joint approaches follows from the order of rows if no column has it.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.terms import APPROACH, Load
 from pincal.types import Array
 
-_STILL = 1e-3  # of the range of a reading: it has not moved
+_STILL = 1e-3  # motion over the range of a reading, below which it stands still
 Influences = Mapping[str, Array | float] | Array
 
 
 def influence_columns(mechanism: Mechanism, measured: Influences | None, count: int) -> Array:
     """Return the columns of a mechanism's influences, shape (N, n_influences).
 
-    Measured are, by column, a number for all rows or one for each, or all columns. NaN, at its
-    reference, where nothing is given.
+    ``measured`` has, by column, a number for all rows or one for each; or it is all columns. What
+    is not given is NaN, at its reference.
 
     Raises:
-        MeasurementError: a column on which nothing depends, or of a wrong shape.
+        MeasurementError: no term depends on a column, or it has a wrong shape.
     """
     names = mechanism.influences
     if isinstance(measured, np.ndarray):
@@ -54,9 +54,9 @@ def influence_columns(mechanism: Mechanism, measured: Influences | None, count: 
 
 
 def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = None) -> Array:
-    """Return the columns of influences of rows in order of time, shape (N, n_influences).
+    """Return the influences of rows in the order of time, shape (N, n_influences).
 
-    Readings, shape (N, n_readings), are those of the plan or measurements if not given.
+    ``readings``, shape (N, n_readings), are by default those of the plan or measurements.
     """
     measured = own_influences(mechanism, plan.influences)
     columns = influence_columns(mechanism, measured, len(plan))
@@ -72,7 +72,7 @@ def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = Non
 
 
 def own_influences(mechanism: Mechanism, columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Return those of given columns on which terms of a mechanism depend."""
+    """Return the columns on which terms of a mechanism depend."""
     return {name: columns[name] for name in mechanism.influences if name in columns}
 
 
@@ -82,10 +82,10 @@ def by_name(mechanism: Mechanism, columns: Array) -> dict[str, Array]:
 
 
 def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
-    """Return from which side readings, in order of time, were come to: +1 below, -1 above, (N,).
+    """Return the side from which each reading was approached, (N,): +1 from below, -1 from above.
 
-    A reading that stays keeps its side, and one that goes back by less than a thousandth of its
-    range, which is noise. NaN until it first moves, in each run, and where it was not read.
+    Readings are in the order of time. A reading that stays, or goes back by less than a thousandth
+    of its range (noise), keeps its side. NaN until it first moves, in each run, and where not read.
     """
     sides_of_rows = np.full(len(readings), np.nan)
     read = np.flatnonzero(np.isfinite(readings))
@@ -94,7 +94,7 @@ def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
     noise = _STILL * float(np.ptp(readings[read]))
     names = np.array(runs)[read] if runs is not None else np.zeros(len(read))
     for rows in np.split(read, 1 + np.flatnonzero(names[1:] != names[:-1])):
-        side, turned = np.nan, readings[rows[0]]  # from where it last turned by more than noise
+        side, turned = np.nan, readings[rows[0]]  # where it last reversed by more than noise
         for row in rows:
             moved = readings[row] - turned
             if abs(moved) > noise and not moved * side > 0.0:
@@ -116,9 +116,9 @@ def weight(mechanism: Mechanism, matrices: Array) -> Array:
 def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dict[str, Array]:
     """Return forces and torques of gravity by name (``Mechanism.load_names``), of shape (N,) each.
 
-    Along a joint's positive direction, [N] or [N m], while all (other) active joints are held; with
-    more of them than freedoms, those of the least that hold the machine. Readings (N, n_readings)
-    belong to poses (N, 4, 4).
+    They are along a joint's positive direction, [N] or [N m], with all other active joints held; of
+    redundant drives they are the least that hold the machine. Readings (N, n_readings) belong to
+    poses (N, 4, 4).
     """
     load, legs = mechanism.load or Load(), nominal_legs(mechanism)
     gravity, closures, links = np.array(load.gravity), [], []
@@ -135,10 +135,10 @@ def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dic
             carried = carried + _along(closed.pose, held)
         closures.append(closed)
         links.append((by_joint, by_parameter))
-    # legs are held to the platform by λ = λ₀ + N μ, of which passive joints do not feel N μ
+    # closure forces are λ = λ₀ + N μ, where N μ does not act on passive joints
     lines = np.concatenate([closed.constraint_by_pose for closed in closures], axis=1)
     mu = -least_squares(lines.transpose(0, 2, 1), carried[:, :, None])
-    if lines.shape[1] > lines.shape[2]:  # of forces of legs against each other, the least in joints
+    if lines.shape[1] > lines.shape[2]:  # internal forces are those of least joint forces
         drive = block_diagonal([closed.drive for closed in closures]).transpose(0, 2, 1)
         inner, in_joints = left_null(lines), np.concatenate([joints for joints, _ in links], axis=1)
         against = in_joints[:, :, None] + product(drive, mu)
@@ -160,7 +160,7 @@ def _along(rows: Array, force: Array) -> Array:
 
 
 def _links(leg: LegClosure, joints: Array, gravity: Array) -> Array:
-    """Return what links lose in height by joints, then parameters, times weight, (N, n + k)."""
+    """Return the generalised forces of the links' weight by joints, then parameters, (N, n + k)."""
     n = len(leg.leg.moving)
     lost_height = np.zeros((len(joints), n + len(leg.parameters)))
     for joint in leg.leg.joints:

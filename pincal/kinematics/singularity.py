@@ -1,16 +1,15 @@
-"""How far poses are from singularities, dimensionless, and how much cables pull there.
+"""Dimensionless distances of poses from singularities, and tensions of cables.
 
-Type 1 (a leg loses the grip of its drive): |Nᵀ ∂c/∂θ| over the lever of the drive; at a
-planar dyad the sine of the elbow angle. Type 2 (the platform gains a freedom): the
-determinant of the legs' constraint lines, unit directions, moments over the platform's
-radius. Its sign is relative to the home pose: negative poses lie across a type-2
-singularity, in another assembly mode.
+Type 1 (a drive loses its leg): |Nᵀ ∂c/∂θ| over the lever of the drive; for a planar dyad the sine
+of the elbow angle. Type 2 (the platform gains a freedom): the determinant of the legs' constraint
+lines, with unit directions and moments over the platform's radius. Its sign is relative to the home
+pose: negative poses lie across a type-2 singularity, in another assembly mode.
 
-Cables only pull. Their tensions t hold the platform against its weight if Jᵀ t = w, J by how much
-each cable lengthens with motions of the platform, w the wrench of the weight. With r cables more
-than freedoms the solutions fill a polytope of r dimensions; of least sum is one of its corners, at
-which r cables are at a limit, or several, of which the mean is taken. All corners of many poses are
-worked out in one call (a linear program for each pose says the same).
+Cables only pull. Their tensions t hold the platform against its weight if Jᵀ t = w, where J has the
+derivatives of the cables' lengths by motions of the platform, and w is the wrench of the weight.
+With r cables more than freedoms the solutions are a polytope of r dimensions. The least sum is at a
+corner, where r cables are at a limit, or at several corners, whose mean is taken. All corners are
+computed for many poses at once (a linear program for each pose gives the same).
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from pincal.model.platform import Poses
 from pincal.model.terms import Cables
 from pincal.types import Array, Mask
 
-_MOST = 3  # cables more than freedoms: with more, corners are too many
+_MOST = 3  # cables more than freedoms; more have too many corners
 
 
 @dataclass(frozen=True)
@@ -44,9 +43,9 @@ class SingularityMargins:
     """Distances of N poses from singularities; NaN where a leg does not reach."""
 
     type1: Array
-    """Drive of each leg, shape (N, n_legs), in [0, 1]."""
+    """Margin of each leg's drive, shape (N, n_legs), in [0, 1]."""
     type2: Array
-    """Stiffness of the platform, shape (N,), signed relative to home."""
+    """Margin of the platform, shape (N,), signed relative to home."""
 
 
 def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
@@ -57,7 +56,7 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
         poses: N poses, coordinates of shape (N, dof), [m] and [rad].
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite.
+        MechanismError: poses have a wrong shape, or are not finite.
     """
     mechanism = as_mechanism(mechanism)
     placed = mechanism.platform.matrices(poses)
@@ -79,9 +78,9 @@ def drive_margins(closed: Sequence[tuple[list[int], ClosedLegs]]) -> Array:
 
 
 def _grip(closure: Closure) -> Array:
-    """Return the grip of a leg's drives, (N,); one of a leg without any, which loses none.
+    """Return the type-1 margin of a leg's drives, (N,); 1 for a leg without any.
 
-    The lever is the next revolute axis's speed, at a planar dyad the length l, or the tip's.
+    The lever is the speed of the next revolute axis (for a planar dyad the length l), or the tip's.
     """
     if not closure.drive.shape[2]:
         return np.ones(len(closure.gap))
@@ -101,24 +100,25 @@ def _grip(closure: Closure) -> Array:
 
 
 def platform_margin(mechanism: Mechanism, lines: Sequence[Array]) -> Array:
-    """Return the determinant of unit constraint lines, signed as at home, (N,).
+    """Return the determinant of unit constraint lines, with its sign relative to home, (N,).
 
-    Lines are of each leg Nᵀ ∂c/∂x, (N, k, dof). NaN if a leg misses home, which has no side.
+    ``lines`` are Nᵀ ∂c/∂x of each leg, (N, k, dof). NaN if a leg does not close at home.
     """
     side = np.sign(home_determinant(mechanism)) or 1.0
     return _volume(mechanism, np.concatenate(lines, axis=1)) * side
 
 
 def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
-    """Return the same of poses (N, 4, 4) by closed forms, before any leg is closed, (N,).
+    """Return the platform's margin at poses (N, 4, 4) by closed forms without closing legs, (N,).
 
-    None if a leg is no rod or slide, or misses home. Where a leg does not reach, it has no meaning.
+    None if a leg is neither a rod nor a slide, or does not close at home. The margin has no meaning
+    where a leg does not reach.
     """
     poses = np.concatenate((mechanism.platform.home_pose.as_matrix(), matrices))
     rows, lines = mechanism.platform.twist_rows, []
     for closure in nominal_legs(mechanism):
         form, targets = closed_form(closure), closure.targets(poses)
-        if form is None or closure.leg.active != [form.driven]:  # it pushes not only along itself
+        if form is None or closure.leg.active != [form.driven]:  # other forces, too
             return None
         velocity, rod = point_velocity(targets - poses[:, :3, 3], rows), form.to_tip(targets)
         with np.errstate(invalid="ignore"):  # a rod without a direction
@@ -130,7 +130,7 @@ def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
 
 
 def _volume(mechanism: Mechanism, lines: Array) -> Array:
-    """Return what constraint lines span, shape (N,): determinants, if they are as the freedoms."""
+    """Return volumes that lines span, (N,): determinants, if there are as many as freedoms."""
     turns = [i for i, row in enumerate(mechanism.platform.twist_rows) if row >= 3]
     points = np.array([leg.point.placement.xyz for leg in mechanism.legs])
     lines[:, :, turns] /= np.sqrt((points**2).sum(axis=1).mean()) or 1.0  # root mean square radius
@@ -144,7 +144,7 @@ def _volume(mechanism: Mechanism, lines: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def home_determinant(mechanism: Mechanism) -> float:
-    """Return the determinant at home, with its sign; NaN if a leg misses the home pose."""
+    """Return the signed determinant at home; NaN if a leg does not close there."""
     matrices = mechanism.platform.home_pose.as_matrix()
     lines = []
     for closure in nominal_legs(mechanism):
@@ -162,9 +162,9 @@ def home_determinant(mechanism: Mechanism) -> float:
 
 
 def tensions(mechanism: GivenMechanism, poses: Poses) -> Array:
-    """Return the least tensions within the limits of ``Mechanism.cables``, (N, n_legs), [N].
+    """Return the tensions of least sum within the limits of ``Mechanism.cables``, (N, n_legs), [N].
 
-    Of least sum; NaN where cables cannot hold the platform, or do not reach. The weight is that of
+    NaN where cables cannot hold the platform, or do not reach. The weight is that of
     ``Mechanism.load``.
 
     Args:
@@ -172,7 +172,7 @@ def tensions(mechanism: GivenMechanism, poses: Poses) -> Array:
         poses: N poses, coordinates of shape (N, dof), [m] and [rad].
 
     Raises:
-        MechanismError: a mechanism that is no cable robot; poses of a wrong shape, or not finite.
+        MechanismError: it is not a cable robot, or poses have a wrong shape or are not finite.
 
     Example:
         >>> import pincal
@@ -195,9 +195,10 @@ def tensions(mechanism: GivenMechanism, poses: Poses) -> Array:
 def least_tensions(
     mechanism: Mechanism, matrices: Array, lines: list[Array], least: float | None = None
 ) -> Array:
-    """Return the least tensions at poses (N, 4, 4), shape (N, n_legs), [N]; NaN where none hold.
+    """Return the tensions of least sum at poses (N, 4, 4), (N, n_legs), [N]; NaN where none hold.
 
-    Lines are of each leg −∂L/∂x, (N, 1, dof). None is below the least, or that of the cables.
+    ``lines`` are −∂L/∂x of each leg, (N, 1, dof). ``least`` is the lower limit of the tensions, by
+    default that of the cables.
     """
     cables, count = mechanism.cables, len(mechanism.legs)
     surplus = count - mechanism.platform.dof
@@ -216,7 +217,7 @@ def least_tensions(
         right = -w[:, :, None] - A[:, :, at_limits] @ ends
         corner = np.empty((len(A), ends.shape[1], count))
         corner[:, :, at_limits] = ends.T
-        inner = A[:, :, others]  # singular where cables at no limit are dependent
+        inner = A[:, :, others]  # singular where the free cables are dependent
         solvable = (np.abs(np.linalg.det(inner)) > ROUNDING)[:, None, None]
         solution = np.linalg.solve(np.where(solvable, inner, np.eye(len(others))), right)
         corner[:, :, others] = np.where(solvable, solution, np.nan).transpose(0, 2, 1)
@@ -235,7 +236,7 @@ def least_tensions(
 def can_hold(
     mechanism: Mechanism, matrices: Array, lines: list[Array], least: float | None = None
 ) -> Mask:
-    """Return where tensions within limits hold the platform, (N,); near a middle first."""
+    """Return where tensions within limits hold the platform, (N,)."""
     A = np.concatenate(lines, axis=1).transpose(0, 2, 1)
     limits = mechanism.cables or Cables()
     low = max(least or 0.0, limits.least)
