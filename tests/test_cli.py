@@ -726,7 +726,7 @@ def test_identifiability_of_more_readings_than_freedoms() -> None:
     """They cannot all be exact, so some noise is taken, and said."""
     outcome = done("identifiability", "4cable")
     assert "rank 16 of 16" in outcome.out
-    assert "cannot all be exact: --noise-reading 0.235mm is taken" in outcome.err
+    assert "cannot all be exact: assumed --noise-reading 0.235mm" in outcome.err
 
 
 def test_a_plan_without_a_coordinate_is_not_told_of_options_of_calibrate(work: Path) -> None:

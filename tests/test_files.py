@@ -713,7 +713,7 @@ def test_orientations_said_in_two_ways_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "poses.csv"
     path.write_text(f"{header}\n0,0,1.7,0,0.3,0,1,0,0,0\n")
     with pytest.raises(
-        pincal.MeasurementError, match=r"poses\.csv: the orientation is said in 2 ways"
+        pincal.MeasurementError, match=r"poses\.csv: the orientation is given in 2 ways"
     ):
         pincal.Plan.from_csv(path, mechanism)
 

@@ -58,7 +58,7 @@ def test_the_calibrated_machine_has_the_right_size(tmp_path: Path) -> None:
     assert "--unknown-frame" in outcome.trouble
     said = ("--unknown-frame", "--folds", 0, "-o", tmp_path / "r")
     outcome = done("calibrate", "--no-report", "3RRR", tmp_path / "m.csv", *said)
-    assert "they were turned into their plane" in outcome.err
+    assert "they were turned into x-y" in outcome.err
     result = pincal.load_result(tmp_path / "r")
     for leg in truth.legs:
         found = result[f"{leg.name}.l"]
@@ -78,5 +78,5 @@ def test_what_is_level_stays_as_it_is(tmp_path: Path) -> None:
 def test_an_orientation_beside_a_tilted_plane_is_refused(tmp_path: Path) -> None:
     """It is not known of which plane it is."""
     seen(3.0, tmp_path / "m.csv", **{"phi [rad]": 0.1})
-    with pytest.raises(pincal.MeasurementError, match="not known how they lie in that plane"):
+    with pytest.raises(pincal.MeasurementError, match="cannot be turned with them"):
         pincal.Measurements.from_csv(tmp_path / "m.csv", "3RRR", FREE)

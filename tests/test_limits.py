@@ -54,7 +54,7 @@ def test_an_arm_stays_above_its_table_and_out_of_a_box(caplog: pytest.LogCapture
             through.append(f"{row} to {row + 1}")
     named = [text for text in caplog.messages if text.startswith("ways through")]
     assert len(through) < 4
-    assert named == [f"ways through what is kept out: from row {', '.join(through)}"] * any(through)
+    assert named == [f"ways pass through --keep-out: from row {', '.join(through)}"] * any(through)
     free = links(pincal.select(arm, **options).plan, arm.reading_names)
     assert free[..., 2].min() < 0.0  # without limits it goes through the table
     assert ((free > low) & (free < high)).all(axis=2).any()

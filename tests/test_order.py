@@ -65,7 +65,7 @@ def test_poses_to_verify_with_are_others() -> None:
     np.testing.assert_array_equal(
         pincal.forecast(mechanism, more).std, pincal.forecast(mechanism, plan).std
     )
-    with pytest.raises(pincal.ObservabilityError, match="40 poses are left to verify with, of 50"):
+    with pytest.raises(pincal.ObservabilityError, match="40 poses remain for verification, but 50"):
         with_verification(mechanism, plan, offered, 50)
 
 

@@ -206,7 +206,7 @@ def test_a_folder_holds_terms(tmp_path: Path, form: str) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{sine: 2, cosine: 3}", "expected one of sine, cosine, power, per, or of alone"),
+        ("{sine: 2, cosine: 3}", "expected one of sine, cosine, power, per, or 'of' alone"),
         ("{}", "expected one of sine"),
         ("{sine: -1}", "a harmonic's order is -1.0; expected a number above 0"),
         ("{sine: 2, range: 3}", "'range' does not go with 'sine'; expected period"),
@@ -417,7 +417,7 @@ def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
     data, machine = _with_a_warm_leg(pincal.load_mechanism("3RRR"))
     data.to_csv(tmp_path / "d.csv", machine)
     for term, words in (
-        ("humidity", "no column 'humidity', on which terms are to depend"),
+        ("humidity", "no column 'humidity' for terms to depend on"),
         ("harmonics:x", "expected harmonics:1,2"),
         ("period:7", "(periods in a turn, up to 100,000), period:5mm"),
         ("leg_1=period:5mm", "'5mm': expected a number, with one of rad, mrad, deg"),
@@ -440,7 +440,7 @@ def test_a_column_with_a_blank_cell_is_not_tried_and_that_is_said(tmp_path: Path
     cells[place] = ""
     (tmp_path / "d.csv").write_text("\n".join([*lines[:4], ",".join(cells), *lines[5:]]))
     outcome = done("explain", "3RRR", tmp_path / "d.csv", *NOISE, "--folds", 2)
-    assert "line 5: no number, so no term is tried with column 'temperature'" in outcome.err
+    assert "line 5: not a number, so no term is tried with column 'temperature'" in outcome.err
     assert "temperature" not in outcome.out
 
 

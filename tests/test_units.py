@@ -76,7 +76,7 @@ def test_counts_without_a_scale_are_refused_with_what_to_say(counted: Path, tmp_
     """The message names the key of mechanism.yaml."""
     outcome = run("calibrate", "--no-report", "3RRR", counted, "-o", tmp_path / "r")
     assert outcome.code == 2
-    assert "column 'leg_1' is in counts; say how many are in one rad" in outcome.trouble
+    assert "column 'leg_1' is in counts, of unknown number per rad" in outcome.trouble
     assert "counts_per_unit" in outcome.trouble
 
 

@@ -1,1 +1,1 @@
-"""Which poses to measure, and what they will give."""
+"""Choice of poses to measure, and forecasts of the accuracy that they give."""

@@ -1,10 +1,10 @@
-"""What measurements will give before they are made: rank, standard errors, platform error.
+"""Forecasts of planned measurements: rank, standard errors, error of the platform.
 
-At each pose all legs demand e(x, ψ; φ) = 0, and something is measured of the platform. The Gram
-matrix of these rows, freed of the pose and whitened, is the information that the best estimator
-draws from the pose; its inverse is the covariance of the parameters, the Cramér-Rao bound. Of a leg
-alone, with poses as measured, the rows are e, whitened by what the noise of pose and readings does
-to it.
+At each pose all legs demand e(x, ψ; φ) = 0, and some quantities of the platform are measured. The
+Gram matrix of these rows, freed of the pose and whitened, is the information that the best
+estimator draws from the pose; its inverse is the covariance of the parameters, the Cramér-Rao
+bound. For a single leg with measured poses the rows are e, whitened by the noise of e that follows
+from pose and readings.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ from pincal.types import Array
 
 
 def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
-    """Return the whitened rows of a leg alone by its parameters, poses as measured, (N, k, n).
+    """Return the whitened Jacobian of a single leg at measured poses by its parameters, (N, k, n).
 
-    NaN where out of reach.
+    Rows out of reach are NaN.
     """
     by_pose, by_reading = demand.pose * noise.of_poses(mechanism), demand.reading * noise.reading
     root = np.concatenate((by_pose, by_reading), axis=2)
@@ -60,7 +60,7 @@ def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
 
 
 def touching(mechanism: Mechanism, plan: Plan, setup: Setup, errors: Array | float = 0.0) -> Plan:
-    """Return a plan whose contacts touch, but for errors (N, 3): see ``relations.touching``."""
+    """Return a plan whose contacts touch up to errors, (N, 3), [m]: see ``relations.touching``."""
     touched = {name: contact for name, contact in setup.contacts.items() if name != ROW}
     contacts = {name: replace(contact, gauge=False) for name, contact in touched.items()}
     if not contacts:
@@ -74,7 +74,7 @@ def touching(mechanism: Mechanism, plan: Plan, setup: Setup, errors: Array | flo
 def _measured_names(
     mechanism: Mechanism, measured: Sequence[str] | None, setup: Setup
 ) -> tuple[str, ...]:
-    """Return names of what is measured, all that a setup says if none are given."""
+    """Check and return the names of measured quantities; by default all of the setup's."""
     offered = (*mechanism.platform.freedoms, *setup.columns(mechanism))
     if measured is not None and not isinstance(measured, Iterable):
         raise MeasurementError(
@@ -91,27 +91,27 @@ def _measured_names(
 
 
 class Information(NamedTuple):
-    """What configurations say of n parameters and external unknowns."""
+    """Information of N configurations on n unknowns: parameters, then external unknowns."""
 
     rows: Array
-    """Free of the poses and whitened, shape (N, k, n): their Gram matrix is the information."""
+    """Rows freed of the poses and whitened, shape (N, k, n); their Gram is the information."""
     priors: Array
-    """Rows of what is known of external unknowns beforehand, shape (m, n)."""
+    """Rows of prior knowledge on external unknowns, shape (m, n)."""
     systematic: Array
-    """Errors of rows by what is off in all, one standard uncertainty each, shape (N, k, q)."""
+    """Errors of the rows for one standard uncertainty of q systematic errors, (N, k, q)."""
     unknowns: tuple[str, ...]
-    """Ids."""
+    """Ids of the unknowns."""
     measured: tuple[str, ...]
-    """Names of what is measured (see ``forecast``)."""
+    """Names of the measured quantities (see ``forecast``)."""
 
 
 def information_rows(
     mechanism: Mechanism, legs: Legs, noise: Noise, measured: Sequence[str] | None, setup: Setup
 ) -> Information:
-    """Return what configurations say of parameters and external unknowns, pose by pose.
+    """Return the information of configurations on parameters and external unknowns, by pose.
 
     Raises:
-        MeasurementError: unknown freedoms, or measurements without noise or equations.
+        MeasurementError: freedoms are unknown, or measurements have no noise or no equations.
     """
     platform, count = mechanism.platform, len(legs.poses)
     matrices, turning = platform.matrices(legs.poses), platform.freedoms[platform.lengths :]
@@ -128,11 +128,11 @@ def information_rows(
     chosen = [observation.names.index(name) for name in names]
     value, *slopes = observation.residuals(matrices, start)
     predicted = {name: value[:, observation.names.index(name)] for name in columns}
-    planned = replace(data, extra=predicted)  # less what was measured: zero
+    planned = replace(data, extra=predicted)  # so that residuals are zero
     scatter = observation.row_noise(planned, noise)
     by_all = np.concatenate((*slopes, observation.systematic(matrices, start)), axis=2)[:, chosen]
     single = scatter.correlation is None and (scatter.sigma[:, chosen] > 0.0).all()
-    if single and len(chosen) > by_all.shape[2]:  # a photograph says no more than R: seen / σ = Q R
+    if single and len(chosen) > by_all.shape[2]:  # R of QR holds all information of a photograph
         by_all = np.asarray(np.linalg.qr(by_all / scatter.sigma[:, chosen, None], mode="r"))
         roots = np.broadcast_to(np.eye(by_all.shape[2]), (count, *by_all.shape[2:] * 2))
     else:
@@ -140,14 +140,14 @@ def information_rows(
     places = np.cumsum([part.shape[2] for part in slopes])
     by_pose, by_external, systematic = np.split(by_all, places, axis=2)
     # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
-    # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
+    # └ 0  by external      ┘  measured       └ B ┘   └          σ ┘
     pose = np.concatenate((legs.pose, by_pose), axis=1)
     n_rows = legs.parameter.shape[1]
     white = white_rows(pose, block_diagonal((noise.reading * legs.reading, roots)))
     rows = white(block_diagonal((legs.parameter, by_external)))
     if not rows.size:
         raise MeasurementError(
-            f"{', '.join(names) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
+            f"measuring {', '.join(names) or 'nothing'} leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
     errors = white(np.pad(systematic, ((0, 0), (n_rows, 0), (0, 0))))
@@ -160,7 +160,7 @@ def information_rows(
 def null_directions(lengths: Array, axes: Array, rank: int, count: int) -> Array:
     """Return independent directions that rows do not determine, columns of shape (count, n_lost).
 
-    They are of the first unknowns; those of others alone are none. See ``scaled_axes``.
+    Directions among other than the first ``count`` unknowns are dropped. See ``scaled_axes``.
     """
     U, shares, _ = np.linalg.svd(axes[rank:, :count].T, full_matrices=False)
     return np.asarray(np.linalg.qr(U[:, shares > NEGLIGIBLE] / lengths[:count, None])[0])
@@ -169,7 +169,7 @@ def null_directions(lengths: Array, axes: Array, rank: int, count: int) -> Array
 def apart_from_frames(
     mechanism: Mechanism, legs: Legs, lost: Array, setup: Setup
 ) -> tuple[Array, Array, Array]:
-    """Return freedoms of frames among lost directions, (n, n_lost), the others, these motions.
+    """Return undetermined directions, (n, n_lost), that only move frames, the others, the motions.
 
     Legs are at the poses to measure.
     """
@@ -177,33 +177,33 @@ def apart_from_frames(
     near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, mechanism.size))
     matrices, scaled = mechanism.platform.matrices(near.poses), setup.frameless
     gauge, undetermined, moved = split_frames(mechanism, matrices, near.gain, lost, scaled=scaled)
-    if gauge.shape[1]:  # which does not count: what is lost takes no part of it
+    if gauge.shape[1]:  # the others are taken free of any part along the gauge
         undetermined = undetermined - gauge @ np.linalg.lstsq(gauge, undetermined, rcond=None)[0]
     return gauge, undetermined, moved
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Forecast:
-    """What a plan of measurements will give: rank, standard errors, error of the platform."""
+    """Forecast for a plan of measurements: rank, standard errors, error of the platform."""
 
     mechanism: Mechanism
     measured: tuple[str, ...]
-    """What is measured of the platform."""
+    """Names of the measured quantities of the platform."""
     poses: int
     """Number of poses that all legs reach."""
     rank: Identifiability
-    """Of all parameters and external unknowns together, by their ids."""
+    """Rank of all parameters and external unknowns together, by their ids."""
     covariance: Array
-    """Of what is determined, shape (n, n), parameters leg by leg: the Cramér-Rao bound."""
+    """Cramér-Rao bound of the determined parameters' covariance, shape (n, n), leg by leg."""
     least: float
-    """Fewest poses like these that can determine as much."""
+    """Fewest poses like these that can determine as many unknowns."""
     lost: Array
-    """Directions that are not determined, columns of shape (n, n_lost), less those of frames."""
+    """Undetermined directions without those of frames, columns of shape (n, n_lost)."""
     gauge: Array
-    """Directions that only move frames that are not measured, columns of shape (n, n_gauge):
-    parameters are those nearest to the nominal ones."""
+    """Directions that only move unmeasured frames, columns of shape (n, n_gauge); along them
+    parameters are taken nearest to nominal."""
     frames: Array
-    """Motions of frames that these are (see ``frames_moved``), shape (k, n_moved)."""
+    """Motions of frames along the gauge directions (see ``frames_moved``), shape (k, n_moved)."""
 
     @cached_property
     def std(self) -> Array:
@@ -219,20 +219,20 @@ class Forecast:
         return weak_pairs(ids, np.where(clear, self.covariance, 0.0))
 
     def platform_error(self, poses: Plan | Array) -> PlatformError:
-        """Return the error to expect of the calibrated platform over poses, shape (N, dof).
+        """Return the expected error of the calibrated platform over poses, shape (N, dof).
 
-        Where frames are not measured, less what a motion of the frames explains.
+        Where frames are not measured, it is the error after their best fit.
         """
         return platform_error(self.mechanism, self.covariance, poses, self.lost, self.frames)
 
     def poses_for(self, accuracy: float, poses: Plan | Array) -> float:
-        """Return how many poses like the planned ones bring the position error to an accuracy.
+        """Return the number of poses like the planned ones that gives an accuracy of position.
 
-        That is its root mean square [m] over some poses, shape (N, dof). Errors fall with the root
-        of the number of poses. Infinite if no number does.
+        The accuracy is the RMS position error, [m], over ``poses``, shape (N, dof); it falls with
+        the square root of the number of poses. The number is infinite if none suffices.
 
         Raises:
-            MeasurementError: an accuracy that is not positive and finite.
+            MeasurementError: the accuracy is not positive and finite.
         """
         if not 0.0 < accuracy < np.inf:
             raise MeasurementError(f"the wanted accuracy is {accuracy:g} m; expected more than 0")
@@ -245,7 +245,7 @@ class Forecast:
 
     @attached
     def __str__(self) -> str:
-        """Return the table of standard errors, and what is not determined."""
+        """Return the table of standard errors, and the undetermined parameters."""
 
 
 @one_thread()
@@ -256,26 +256,26 @@ def forecast(
     measured: Sequence[str] | None = None,
     setup: Setup | None = None,
 ) -> Forecast:
-    """Return what measurements at poses will say of the parameters of all legs.
+    """Forecast how well measurements at poses will determine the parameters of all legs.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
         poses: Poses to measure, coordinates of shape (N, dof), or a plan; all sensors are read.
-        noise: Standard deviations of what is measured.
+        noise: Standard deviations of the measurements.
         measured: Freedoms of the platform that are measured (see ``Platform.freedoms``; axes of
-            the measurements' frame) and columns of the setup; all if not given, but no freedom
-            where contacts or cameras measure.
-        setup: What measured numbers will mean: unknown frame, targets, distances.
+            the measurements' frame) and columns of the setup. By default all columns, and all
+            freedoms unless contacts or cameras measure.
+        setup: Meaning of the measured numbers: unknown frame, targets, distances.
 
     Raises:
-        MeasurementError: unknown freedoms, measurements without any noise, or no pose in reach.
-        MechanismError: poses of a wrong shape, or not finite.
+        MeasurementError: freedoms are unknown, measurements have no noise, or no pose is in reach.
+        MechanismError: poses have a wrong shape, or are not finite.
     """
     mechanism = as_mechanism(mechanism)
     noise, setup = as_noise(noise), read_setup(setup or Setup())
     plan = as_plan(mechanism, poses)
     setup = setup.of_rows(plan.contacts)
-    plan = touching(mechanism, plan.rows(~plan.verifying), setup)  # no fit follows the others
+    plan = touching(mechanism, plan.rows(~plan.verifying), setup)  # rows that a fit uses
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan)
@@ -285,11 +285,11 @@ def forecast(
     flat = np.concatenate((seen, priors))
     rank = identifiability(flat, unknowns)
     lengths, s, axes = scaled_axes(flat)
-    root = axes[: rank.rank] / lengths / s[: rank.rank, None]  # of the pseudo-inverse
+    root = axes[: rank.rank] / lengths / s[: rank.rank, None]  # rootᵀ root is the pseudo-inverse
     undetermined = null_directions(lengths, axes, rank.rank, n)
     gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined, setup)
     to_nominal = root[:, :n] @ nearest_to_nominal(mechanism, gauge).T
-    # what is off in all rows comes on top, however many they are
+    # systematic errors add to the covariance, however many rows there are
     moved = to_nominal.T @ (root @ (seen.T @ systematic.reshape(len(seen), -1)))
     return Forecast(
         mechanism,

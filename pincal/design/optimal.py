@@ -1,30 +1,30 @@
-"""The best choice of candidates: criteria, a bound on any choice, and an exchange towards it.
+"""Optimal choice of candidates: criteria, a bound on any choice, and an exchange algorithm.
 
 Candidate j contributes rows Aⱼ, shape (r, n); weights make M = Σ wⱼ Aⱼᵀ Aⱼ. D-optimality: log det
 M. L-optimality (I- and V-optimality where L is a mean over a region): −log tr L M⁻¹, the platform's
 mean variance over the workspace, correlations of all parameters included. A. C. Atkinson,
 A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS (2007), 10.5 and 10.6.
 
-They are Kiefer's criteria of order p = 0 and 1: concave in M, and read off two products of
-candidates. With M⁻¹ = R Rᵀ and a direction H of the criterion,
+They are Kiefer's criteria of order p = 0 and 1: concave in M, with derivatives from two products
+of candidates. With M⁻¹ = R Rᵀ and a direction H of the criterion,
 
     W = A R,   K = W Wᵀ,   Q = W H (W H)ᵀ,
     gradient  gⱼ = tr Qⱼⱼ,   minus Hessian  (1 + p) tr Kᵢⱼ Qⱼᵢ − p gᵢ gⱼ,
 
-and rows that come add to the value a function of the same K and Q (Woodbury). Parameters that
+and the value gained by further rows is a function of the same K and Q (Woodbury). Parameters that
 share no row, such as those of two legs, share no information: M falls into parts, and their
 determinants multiply. Rows are a tuple with an array for each part.
 
 Weights w on the candidates maximise a criterion of M(w) = Σ wⱼ Aⱼᵀ Aⱼ. By the equivalence theorem
-of Kiefer and Wolfowitz any weights bound the best ones: of a criterion of degree d with gradient g,
-value(w*) ≤ value(w) + d log(maxⱼ gⱼ / d). No set of N candidates has more than N M(w*), so the
-bound is a proof whether or not w has converged. Few candidates carry weight. On these the criterion
-is maximised by interior-point steps; then those that violate gⱼ ≤ d most join them, until none does
-(column generation).
+of Kiefer and Wolfowitz any weights w bound the best weights w*: for a criterion of degree d with
+gradient g, value(w*) ≤ value(w) + d log(maxⱼ gⱼ / d). No set of N candidates exceeds the value of
+N M(w*), so the bound is a proof whether or not w has converged. Few candidates carry weight. On
+these interior-point steps maximise the criterion; then the candidates that violate gⱼ ≤ d most
+join, until none does (column generation).
 
-Sets of N are improved by exchange: a member is swapped for another candidate as long as that gains
-something. Fedorov (1972), place by place as Cook and Nachtsheim (1980); of robot poses Sun and
-Hollerbach (2008). All starts are swapped at once.
+Exchange improves sets of N: a member is swapped for another candidate as long as the value grows
+(Fedorov 1972; place by place as Cook and Nachtsheim 1980; for robot poses Sun and Hollerbach 2008).
+All starts are improved at once.
 """
 
 from __future__ import annotations
@@ -43,36 +43,36 @@ from pincal.types import Array, Index
 Parts: TypeAlias = tuple[Array, ...]
 """An array for each part of the parameters, such as rows of candidates, (M, r, n)."""
 TOLERANCE = 2e-5
-"""Relative gap between gradient and degree at which a design is near enough to the best one."""
-_FIRST = 200  # candidates that the first weights are on
-_SAMPLE = 1000  # candidates, drawn by leverage, of which some keep the rank of the first ones
-_ROUNDS = 100  # looks at all candidates, at most
-_STEPS = 40  # interior-point steps between two looks, at most
-_WITHIN = 0.1  # share of the gap at the last look to which steps go
-_JOINING = 4  # candidates for each parameter that join after a look, at most
-_SHARE = 1e-3  # weight that these get, at most
-_MIXED = 0.1  # share of equal weights that steps begin with, and of the degree the least slack
-_CENTRED = 0.03  # share of the mean complementarity at which a step aims
-_DROPPED = 0.3  # share of the gap that dropping the least weights may cost
+"""Relative gap between gradient and degree at which a design counts as optimal."""
+_FIRST = 200  # candidates with weight at the start
+_SAMPLE = 1000  # candidates drawn by leverage, from which the start is completed to full rank
+_ROUNDS = 100  # most passes over all candidates
+_STEPS = 40  # most interior-point steps between two passes
+_WITHIN = 0.1  # tolerance of the steps, as a share of the gap at the last pass
+_JOINING = 4  # most candidates per parameter that join after a pass
+_SHARE = 1e-3  # largest weight of all joining candidates together
+_MIXED = 0.1  # share of equal weights in the first weights; least first slack, over the degree
+_CENTRED = 0.03  # target of a step, as a share of the mean complementarity
+_DROPPED = 0.3  # share of the gap that dropping the smallest weights may cost
 _INSIDE = 0.99  # share of the way to the boundary that a step goes
 
-_POOL = 200  # candidates that swaps come from, at least; by as many the pool grows
-_POOL_PER_CHOSEN = 4  # candidates in the pool for each of a set, at least
+_POOL = 200  # least size of the pool of candidates for swaps, and size of its growth
+_POOL_PER_CHOSEN = 4  # least number of candidates in the pool per member of a set
 _RANDOM = 50  # further candidates in the pool, drawn from all
-_TURNS = 100  # visits of each place of a set between two looks at all candidates, at most
+_TURNS = 100  # most visits to each place of a set between two passes over all candidates
 _GAIN = 1e-9  # least gain of a swap
-_WEIGHTED = (0.97, 0.75)  # share of priority by which the first and the last start are drawn
+_WEIGHTED = (0.97, 0.75)  # influence of the priority on the draw of the first and the last start
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """log det M or, of quantities Cᵀφ, minus the logarithm of the sum of the variances."""
+    """log det M or, for quantities Cᵀφ, minus the logarithm of the sum of their variances."""
 
     C: Array | None = None
-    """Quantities that are to be known, in the unknowns, which are one part, shape (n, q)."""
+    """Coefficients of q quantities in the n unknowns, which are a single part, shape (n, q)."""
 
     def value(self, rows: Parts) -> float:
-        """Return the value of rows, shape (m, r, n) for each part; −∞ if they lack rank."""
+        """Return the criterion's value for rows, (m, r, n) per part; −∞ if they lack rank."""
         total = 0.0
         for triangle in triangles(rows):
             diagonal = np.abs(np.diagonal(triangle))
@@ -85,20 +85,20 @@ class Criterion:
         return total
 
     def direction(self, root: Array) -> Array:
-        """Return H by roots R of M⁻¹, shape (S, n, n): the unit matrix, or Rᵀ C over its norm."""
+        """Return H for roots R of M⁻¹, shape (S, n, n): the identity, or Rᵀ C over its norm."""
         if self.C is None:
             return np.broadcast_to(np.eye(root.shape[-1]), root.shape)
         half = root.mT @ self.C
         return np.asarray(half / np.linalg.norm(half, axis=(1, 2), keepdims=True))
 
     def gain(self, rows: Array, root: Array) -> Array:
-        """Return what each of M candidates adds to the value of one part, shape (S, M).
+        """Return the gain in value of one part by adding each of M candidates, shape (S, M).
 
-        log det(1 + K), or −log(1 − tr (1 + K)⁻¹ Q): see the module.
+        It is log det(1 + K), or −log(1 − tr (1 + K)⁻¹ Q): see the module.
 
         Args:
             rows: Rows of the candidates, shape (M, r, n).
-            root: R of M⁻¹ = R Rᵀ of S sets to which they come, shape (S, n, n).
+            root: R of M⁻¹ = R Rᵀ of the S sets that they would join, shape (S, n, n).
         """
         r, n = rows.shape[1:]
         W = rows.reshape(-1, n) @ root
@@ -116,21 +116,21 @@ DETERMINANT = Criterion()
 
 
 def _blocks(W: Array, r: int) -> Array:
-    """Return Wⱼ Wⱼᵀ of candidates with r rows each, shape (S, M r, k) to (S M, r, r)."""
+    """Return Wⱼ Wⱼᵀ for M candidates with r rows each; W is (S, M r, k), the result (S M, r, r)."""
     W = W.reshape(-1, r, W.shape[2])
     return np.einsum("mik,mik->m", W, W)[:, None, None] if r == 1 else W @ W.mT
 
 
 def triangles(rows: Parts) -> Parts:
-    """Return a triangle R of each part, shape (n, n) or less: Rᵀ R is the Gram of all rows."""
+    """Return the triangle R of each part's QR, (n, n) or less; Rᵀ R is the rows' Gram matrix."""
     flat = (part.reshape(-1, part.shape[-1]) for part in rows)
     return tuple(np.asarray(np.linalg.qr(part, mode="r")) for part in flat)
 
 
 def gradient(rows: Parts, turns: Parts) -> Array:
-    """Return |Aⱼ T|² of each candidate, shape (M,), by T of each part, shape (n, k).
+    """Return |Aⱼ T|² of each candidate, shape (M,), for a T per part, shape (n, k).
 
-    With T = R H it is the change of the value by a small weight on the candidate.
+    With T = R H it is the derivative of the value by the candidate's weight.
     """
     total = np.zeros(len(rows[0]))
     for part, turn in zip(rows, turns, strict=True):
@@ -140,18 +140,18 @@ def gradient(rows: Parts, turns: Parts) -> Array:
 
 
 def inverse_roots(information: Array) -> Array:
-    """Return R of M⁻¹ = R Rᵀ, shape (S, n, n) for both."""
+    """Return R of M⁻¹ = R Rᵀ for information matrices M, both of shape (S, n, n)."""
     return np.linalg.inv(np.linalg.cholesky(information)).mT
 
 
 @dataclass(frozen=True)
 class ContinuousDesign:
-    """Weights on candidates, near the optimal ones, and the bound that they prove."""
+    """Nearly optimal weights on candidates, and the bound that they prove."""
 
     weights: Array
     """Weights of sum 1, shape (M,)."""
     gradient: Array
-    """gⱼ, shape (M,): the degree where the design rests, at most (1 + gap) times it elsewhere."""
+    """gⱼ, shape (M,): the degree at candidates with weight, else at most (1 + gap) times it."""
     value: float
     """Value of M(w)."""
     bound: float
@@ -161,11 +161,11 @@ class ContinuousDesign:
 
     @property
     def priority(self) -> Array:
-        """Order of candidates: those with weight first, then those of large gⱼ, shape (M,)."""
+        """Priority of candidates: first those with weight, then by gⱼ, shape (M,)."""
         return self.weights + ROUNDING * self.gradient
 
     def efficiency(self, value: float, count: int) -> float:
-        """Return the share of so many candidates that the best weights would need for a value."""
+        """Return the efficiency of ``count`` candidates with a value: 1 for the optimal weights."""
         return float(np.exp((value - self.bound) / self.degree) / count)
 
 
@@ -173,7 +173,7 @@ def continuous_design(rows: Parts, criterion: Criterion = DETERMINANT) -> Contin
     """Return a nearly optimal continuous design and its bound.
 
     Args:
-        rows: Rows that each candidate contributes, of each part of the parameters, shape (M, r, n).
+        rows: Rows of each candidate, an array (M, r, n) for each part of the parameters.
         criterion: Criterion to maximise; log det if not given.
 
     Raises:
@@ -184,7 +184,7 @@ def continuous_design(rows: Parts, criterion: Criterion = DETERMINANT) -> Contin
         least = ROUNDING * np.linalg.norm(factor, axis=0).max()
         if len(factor) < factor.shape[1] or np.abs(np.diagonal(factor)).min() <= least:
             raise ObservabilityError("the candidate poses leave a parameter undetermined")
-    # In these coordinates the information of equal weights is 1.
+    # In these coordinates the information of equal weights is the identity.
     turns = tuple(np.linalg.inv(factor) * np.sqrt(total) for factor in factors)
     n = sum(len(turn) for turn in turns)
     turned, degree, gap = criterion, n, 1.0
@@ -222,9 +222,9 @@ def continuous_design(rows: Parts, criterion: Criterion = DETERMINANT) -> Contin
 
 
 def _first_support(rows: Parts, turns: Parts, size: int) -> Index:
-    """Return the candidates of largest leverage, and some that together have full rank.
+    """Return the candidates of largest leverage, and further ones that together have full rank.
 
-    The largest may be copies of few; candidates drawn by leverage determine all that all determine.
+    The largest may be copies of few; a sample drawn by leverage has the rank of all candidates.
     """
     leverage = gradient(rows, turns)
     cumulated = np.cumsum(leverage)
@@ -239,7 +239,7 @@ def _first_support(rows: Parts, turns: Parts, size: int) -> Index:
 
 
 def _weighted_root(rows: Array, weights: Array) -> Array:
-    """Return R of M(w)⁻¹ = R Rᵀ, shape (n, n), of rows of one part, shape (s, r, n)."""
+    """Return R of M(w)⁻¹ = R Rᵀ, shape (n, n), for the rows of one part, shape (s, r, n)."""
     flat = (rows * np.sqrt(weights)[:, None, None]).reshape(-1, rows.shape[2])
     return inverse_roots(flat.T @ flat)
 
@@ -247,10 +247,10 @@ def _weighted_root(rows: Array, weights: Array) -> Array:
 def _interior_point(
     rows: Parts, weights: Array, criterion: Criterion, degree: int, gap: float
 ) -> Array:
-    """Return the best weights of few candidates, from others, by an interior-point method.
+    """Return the best weights of few candidates by an interior-point method from given weights.
 
-    Slacks z of gⱼ + zⱼ = d, and wⱼ zⱼ = μ → 0; a step eliminates z, and the multiplier of Σ w = 1.
-    Steps go to a share of the relative gap at the last look.
+    Slacks z satisfy gⱼ + zⱼ = d and wⱼ zⱼ = μ → 0; a step eliminates z and the multiplier of
+    Σ w = 1. ``gap`` is the relative gap at the last pass; steps end at a share of it.
     """
     s, gap = len(weights), max(_WITHIN * gap, 0.1 * TOLERANCE)
     w = (1.0 - _MIXED) * weights + _MIXED / s
@@ -266,7 +266,7 @@ def _interior_point(
         w, z = w + _inside(w, step) * step, z + _inside(z, slack_step) * slack_step
         hessian, slopes, leverage = derivatives(rows, w, criterion)
         if slopes.max() <= degree * (1.0 + gap):
-            # Σ wⱼ leverageⱼ bounds the part of M that goes with some: at least half of it stays.
+            # Σ wⱼ leverageⱼ bounds the part of M that dropped candidates take: half of it stays.
             order = np.argsort(w)
             cost = np.cumsum((w * leverage)[order])
             w[order[cost <= min(_DROPPED * gap * degree, 0.5)]] = 0.0
@@ -275,15 +275,15 @@ def _interior_point(
 
 
 def _inside(values: Array, change: Array) -> float:
-    """Return how much of a change leaves positive values positive, 1 at most."""
+    """Return the factor, at most 1, on a change that keeps positive values positive."""
     falling = change < 0.0
     return float(np.min(_INSIDE * values[falling] / -change[falling], initial=1.0))
 
 
 def derivatives(rows: Parts, weights: Array, criterion: Criterion) -> tuple[Array, Array, Array]:
-    """Return minus the Hessian by the weights of few candidates, (s, s), gradient and leverages.
+    """Return minus the Hessian by the weights of s candidates, (s, s), the gradient and leverages.
 
-    Leverages are tr Aⱼ M⁻¹ Aⱼᵀ, of rows of shape (s, r, n) for each part and weights (s,).
+    Rows are (s, r, n) for each part, weights (s,); leverages are tr Aⱼ M⁻¹ Aⱼᵀ.
     """
     s, p = len(weights), 0 if criterion.C is None else 1
     hessian, slopes, leverage = np.zeros((s, s)), np.zeros(s), np.zeros(s)
@@ -309,25 +309,25 @@ def exchange(
 ) -> tuple[Index, float]:
     """Return the best set of candidates from several starts, and its value.
 
-    The first start rounds the continuous design, the others are drawn by its weights. Swaps run in
-    a pool, which then grows by those of all candidates that would improve the best set to first
-    order; the next starts are this set and others near it. It ends when none is better.
+    The first start rounds the continuous design, the others are drawn by its weights. Swaps use a
+    pool of candidates, which then grows by the candidates that would improve the best set to first
+    order; the next starts are this set and others near it. The search ends without improvement.
 
     Args:
-        rows: Rows that each candidate contributes, as to ``continuous_design``.
+        rows: Rows of each candidate, as for ``continuous_design``.
         count: Size of the set, without repetition.
-        priority: Order in which candidates come into the pool, the largest first, shape (M,).
+        priority: Priority of candidates for the pool, the largest first, shape (M,).
         rng: Source of the random starts.
         starts: Number of starts.
         criterion: Criterion to maximise; log det if not given.
 
     Raises:
-        ObservabilityError: fewer candidates than the set is to have.
+        ObservabilityError: there are fewer candidates than the set needs.
     """
     total = len(rows[0])
     if total < count:
         raise ObservabilityError(
-            f"{total} candidates are in reach, no two of them alike; {count} are to be chosen. "
+            f"{total} different candidates are in reach; {count} are to be chosen. "
             "Give more candidates"
         )
     size = max(_POOL, _POOL_PER_CHOSEN * count)
@@ -360,16 +360,16 @@ def _starts(priority: Array, count: int, rng: np.random.Generator, starts: int) 
 
 
 def _roots_of_sets(rows: Array, sets: Index) -> Array:
-    """Return R of M⁻¹ = R Rᵀ of sets (S, count), (S, n, n), beside a ridge: some lack rank."""
+    """Return R of M⁻¹ = R Rᵀ, (S, n, n), for sets (S, count); a ridge helps those of low rank."""
     members = rows[sets].reshape(len(sets), -1, rows.shape[2])
     ridge = np.diag(ROUNDING * (rows * rows).sum(axis=(0, 1)))
     return inverse_roots(members.mT @ members + ridge)
 
 
 def _swapped(rows: Parts, sets: Index, criterion: Criterion) -> Index:
-    """Return sets (S, count) improved in turns at each place: what gains most comes there."""
+    """Return sets, (S, count), improved place by place by the candidate that gains most."""
     sets, count = sets.copy(), sets.shape[1]
-    unchanged = np.zeros(len(sets), dtype=int)  # places in a row at which a set stayed as it was
+    unchanged = np.zeros(len(sets), dtype=int)  # successive places at which a set did not change
     for turn in range(_TURNS * count):
         active, place = np.flatnonzero(unchanged < count), turn % count
         if not len(active):

@@ -1,8 +1,8 @@
-"""Orbits of legs and of poses: what one leg's choice gives the others, no pose counted twice.
+"""Orbits of legs and of poses under symmetry, with no pose counted twice.
 
-An element that carries leg i onto leg j takes the rows of i at a pose to those of j at the carried
-pose, but for one constant change of parameters: C_j(g x) M = C_i(x). Determinants then rank poses
-alike, under any offset of a sensor, whose columns M mixes.
+An element g that carries leg i onto leg j takes the rows of i at a pose x to the rows of j at the
+carried pose, up to a constant change M of parameters: C_j(g x) M = C_i(x). Determinants therefore
+rank poses equally for both legs, whatever the offset of a sensor, whose columns M mixes.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from pincal.types import Array, Index, Mask
 
 
 def distinct(platform: Platform, poses: Poses, readings: Array | None = None) -> Index:
-    """Return the configurations that are no copies of earlier ones, as indices in order.
+    """Return the indices, in order, of the configurations that are no copies of earlier ones.
 
-    Coordinates that say the same pose, such as angles a whole turn apart, are copies. Readings are
-    of shape (N, n_readings), where poses do not determine them.
+    Different coordinates of the same pose, such as angles a whole turn apart, are copies. Readings,
+    shape (N, n_readings), are given where poses do not determine them.
     """
     originals = _originals(platform, poses, readings)
     return np.flatnonzero(originals == np.arange(len(originals)))
 
 
 def _originals(platform: Platform, poses: Poses, readings: Array | None = None) -> Index:
-    """Return of each configuration the first one of which it is a copy, or itself, shape (N,).
+    """Return the index of the first copy of each configuration (itself if unique), shape (N,).
 
-    Positions, rotation matrices and readings are compared, over their extents. Only what is close
-    along a line can be.
+    Positions, rotation matrices and readings are compared, scaled by their extents. Copies are
+    close along a random line, so only neighbours along it are compared.
     """
     matrices = platform.matrices(poses)
     parts = [matrices[:, :3, 3], matrices[:, :3, :3].reshape(-1, 9)]
@@ -69,14 +69,14 @@ def _originals(platform: Platform, poses: Poses, readings: Array | None = None) 
     return originals
 
 
-_MAPPED = 10.0  # part of rows that a change of parameters may leave, times the group's tolerance
+_MAPPED = 10.0  # residual of mapped rows that is allowed, over the group's tolerance
 
 
 @lru_cache(maxsize=64)
 def selection_group(mechanism: Mechanism) -> SymmetryGroup:
-    """Return the elements by which poses can be mapped: sensors do not matter to them.
+    """Return the elements that can map poses, whatever the sensors are.
 
-    Those that take home across a type-2 singularity are left out: it cannot be driven there.
+    Elements that take home across a type-2 singularity are left out: the machine cannot go there.
     """
     group = symmetry_group(mechanism, readings=False)
     platform = mechanism.platform
@@ -86,7 +86,7 @@ def selection_group(mechanism: Mechanism) -> SymmetryGroup:
         across = margins(mechanism, images).type2 < 0.0
     drivable = group.part([i for i, crosses in enumerate(across) if not crosses])
     if len(mechanism.legs) > 1 and len(drivable.leg_orbits) == len(mechanism.legs):
-        group.carriers()  # says what breaks it
+        group.carriers()  # raises an error that says what breaks the symmetry
         drivable.carriers()
     return drivable
 
@@ -94,13 +94,13 @@ def selection_group(mechanism: Mechanism) -> SymmetryGroup:
 def carried_legs(
     group: SymmetryGroup, poses: Array, noise: Noise | None = None
 ) -> dict[str, tuple[str, Element, bool]]:
-    """Return what carries each leg's poses: from which leg, by which element, and whether as good.
+    """Return for each leg its reference leg, the element from there, and whether it is as good.
 
-    The reference leg's choice is as good for a leg if whitened rows map too, not only parameters,
-    at some poses that all legs reach, coordinates of shape (N, dof).
+    The reference leg's choice is equally good for a leg if whitened rows map, and not only the
+    parameters; this is tested at poses that all legs reach, coordinates of shape (N, dof).
 
     Raises:
-        SymmetryError: legs of one orbit have other parameters.
+        SymmetryError: legs of one orbit have different parameters.
         MeasurementError: a residual has no noise.
     """
     mechanism, noise = group.mechanism, as_noise(noise)
@@ -119,7 +119,7 @@ def carried_legs(
             if not maps(by_reading[0], by_reading[place], group.tolerance):
                 raise SymmetryError(
                     f"{element} carries {legs[0]} onto {name}, but not the parameters of one to "
-                    "those of the other: their columns span other spaces. Give both the same set "
+                    "the other's: their columns span different spaces. Give both the same set "
                     "of parameters, or choose poses for each leg alone (--protocol independent)"
                 )
             carried[name] = legs[0], element, maps(whitened[0], whitened[place], group.tolerance)
@@ -127,7 +127,7 @@ def carried_legs(
 
 
 def maps(first: Array, second: Array, tolerance: float = 1e-6) -> bool:
-    """Return whether rows, shape (N, n), are others times one constant matrix."""
+    """Return whether ``second`` is ``first`` times a constant matrix, both of shape (N, n)."""
     if first.shape != second.shape:
         return False
     scale = np.linalg.norm(first, axis=0)
@@ -146,10 +146,10 @@ def smallest(group: SymmetryGroup) -> tuple[Element, ...]:
 
 
 def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]:
-    """Return the orbits of poses, shape (M, 4, 4), under a group, the identity first.
+    """Return the orbits of poses, shape (M, 4, 4), under a group whose first element is 1.
 
-    Images, shape (E, M, 4, 4); and which count, (E, M), as they are not an earlier one of the same
-    pose: a pose on a mirror has a smaller orbit.
+    These are the images, shape (E, M, 4, 4), and a mask, (E, M), of the images that differ from all
+    earlier images of the same pose: a pose on a mirror has a smaller orbit.
     """
     images = np.stack([element.matrices(matrices) for element in elements])
     size = float(np.ptp(images[..., :3, 3], axis=(0, 1)).max())
@@ -163,9 +163,9 @@ def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]
 
 
 def representatives(images: Array) -> Array:
-    """Return of each pose's orbit the image that is farthest along a line, shape (M, 4, 4).
+    """Return the image of each pose that is farthest along a fixed line, shape (M, 4, 4).
 
-    Poses of one orbit have the same representative. Images are those of ``orbit_of``.
+    All poses of an orbit have the same representative. Images are from ``orbit_of``.
     """
     line = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 4))
     farthest = np.einsum("emij,ij->em", images[:, :, :3], line).argmax(axis=0)
@@ -173,7 +173,7 @@ def representatives(images: Array) -> Array:
 
 
 def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:
-    """Return a plan of poses, each chosen for a leg, that holds none twice: it serves both legs."""
+    """Return a plan of poses chosen for single legs; a pose chosen twice is one row for both."""
     served: dict[int, list[str]] = {}
     for row, leg in zip(_originals(mechanism.platform, poses).tolist(), legs, strict=True):
         served.setdefault(row, []).append(leg)

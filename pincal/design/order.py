@@ -1,9 +1,9 @@
-"""In which order poses are measured: in rounds of short ways, or beside the robot the best next.
+"""Order of measuring poses: rounds of short ways for a plan, or the best next pose in a session.
 
-A plan that is driven blind is driven in rounds, so that what drifts is no error of one leg. Beside
-the robot the next row is that which says most: the information of priors and of the rows that were
-measured is M = diag(σ⁻²) + Σ Aⱼᵀ Aⱼ, with rows of forecasts by the nominal mechanism, so that no
-measured number has a say.
+Rounds mix the legs' poses, so that drift does not become an error of one leg. In a session the next
+row is the most informative one: M = diag(σ⁻²) + Σ Aⱼᵀ Aⱼ is the information of priors and of the
+rows measured so far, with forecast rows Aⱼ of the nominal mechanism, so that measured values do not
+influence the choice.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from pincal.types import Array, Mask
 from pincal.workspace.sampling import sample_configurations
 
 REFERENCE = "reference"
-"""Name of the pose that is measured again and again."""
-_ROUND = 8  # rows that a round has at least
-_BLOCKED = 1e3  # length of a way that must not be driven
+"""Name of the pose that is measured repeatedly."""
+_ROUND = 8  # fewest rows of a round
+_BLOCKED = 1e3  # length of a blocked way
 _WORKSPACE, _SEED = 200, 1  # configurations over which errors are stated
-_FAR = 10.0  # sizes of the machine, or rad, within which frames are sought
-_COURSE = 100  # poses that are looked ahead, at most
+_FAR = 10.0  # prior standard deviation of frames, in sizes of the machine, or rad
+_COURSE = 100  # most poses of a course
 
 
 def in_rounds(
@@ -53,23 +53,23 @@ def in_rounds(
     seed: int = 0,
     blocked: Mask | bool = False,
 ) -> Plan:
-    """Return a plan in the order in which it is driven, with a reference pose between.
+    """Return a plan in driving order, with repetitions of a reference pose.
 
-    Each round has a random share of every set, and goes round it by a short way, from the pose in
-    the middle (least sum of squared ways to the others) and back to it. Rows of the middle pose
-    have the name ``reference``, and differ by noise and by what drifts.
+    Each round visits a random share of every set by a short way, which begins and ends at the
+    middle pose (least sum of squared ways to the others). Rows of the middle pose have the name
+    ``reference``; they differ only by noise and drift.
 
     Args:
         mechanism: The mechanism.
-        plan: Rows in any order, N.
-        rounds: Number of rounds; fewer where they would have less than eight rows.
-        every: Rows between which the reference is measured, and at both ends; at the ends of all
-            rounds if not given; 0 for never.
+        plan: N rows in any order.
+        rounds: Number of rounds; fewer if they would have less than eight rows.
+        every: Number of rows between measurements of the reference, which is measured at both ends,
+            too. By default it is measured at the ends of all rounds; 0 for never.
         seed: Seed of the shares.
-        blocked: Ways between rows that must not be driven if others can, shape (N, N).
+        blocked: Mask, shape (N, N), of ways between rows to avoid if possible.
 
     Raises:
-        MeasurementError: no round, or a negative number of rows between.
+        MeasurementError: there is no round, or ``every`` is negative.
     """
     count_of(rounds, "rounds", MeasurementError, 1)
     count_of(every or 0, "every", MeasurementError, 0)
@@ -108,7 +108,7 @@ def in_rounds(
 
 
 def _ways(mechanism: Mechanism, plan: Plan) -> Array:
-    """Return lengths of ways between rows, (N, N): the platform's, and the most moved drive's."""
+    """Return lengths of ways between rows, (N, N): platform's plus most moved drive's, scaled."""
     readings = plan.readings
     if readings is None:
         readings = inverse(mechanism, plan.poses, planned_influences(mechanism, plan)).readings
@@ -120,10 +120,10 @@ def _ways(mechanism: Mechanism, plan: Plan) -> Array:
 
 
 def _way_round(ways: Array) -> Array:
-    """Return all N places in the order of a short way from the first and back, shape (N,).
+    """Return the order of N places on a short way from the first and back to it, shape (N,).
 
-    Of lengths of ways (N, N): the nearest next (greedy), then ways are uncrossed while that makes
-    it shorter (2-opt).
+    ``ways`` are lengths, shape (N, N). The nearest place comes next (greedy); then ways are
+    uncrossed as long as that shortens the total (2-opt).
     """
     path, ahead = [0], list(range(1, len(ways)))
     while ahead:
@@ -144,19 +144,19 @@ def _way_round(ways: Array) -> Array:
 
 
 def with_distances(plan: Plan, count: int) -> Plan:
-    """Return a plan whose rows, called 1, 2, …, are each measured from so many others.
+    """Return a plan with ``count`` distances from each row to others; rows are named 1, 2, ….
 
-    Rows far from each other in the plan and near ones alike, no pair twice, and none of one pose
-    that is measured again.
+    The other rows are near and far in the plan; no pair is measured twice, nor any between
+    repetitions of one pose.
 
     Raises:
-        ObservabilityError: there are not as many others.
+        ObservabilityError: there are not enough other rows.
     """
     rows = len(plan)
     if 2 * count > rows - 1:
         raise ObservabilityError(
-            f"{rows} poses have at most {(rows - 1) // 2} distances each, no pair measured twice; "
-            f"{count} were asked for"
+            f"{rows} poses allow at most {(rows - 1) // 2} distances from each, no pair measured "
+            f"twice; {count} were asked for"
         )
     names = tuple(str(1 + row) for row in range(rows))
     steps = np.linspace(1, (rows - 1) // 2, count).round().astype(int).tolist()
@@ -172,12 +172,12 @@ def with_distances(plan: Plan, count: int) -> Plan:
 def with_verification(
     mechanism: Mechanism, plan: Plan, offered: Plan, count: int, seed: int = 0
 ) -> Plan:
-    """Return a plan with poses beside it that no fit follows: those of the set ``verify``.
+    """Return a plan with additional poses of the set ``verify``, which no fit uses.
 
-    So many are taken at random from those offered, which are spread over the workspace.
+    They are ``count`` random ones of the offered poses, which are spread over the workspace.
 
     Raises:
-        ObservabilityError: fewer are in reach.
+        ObservabilityError: fewer poses are in reach.
     """
     offered, taken = as_plan(mechanism, offered), {pose.tobytes() for pose in plan.poses}
     free = [row for row, pose in enumerate(offered.poses) if pose.tobytes() not in taken]
@@ -185,7 +185,7 @@ def with_verification(
     chosen = offered.rows(rows[joints_at(mechanism, offered.rows(rows)).reached.all(axis=1)])
     if len(chosen) < count:
         raise ObservabilityError(
-            f"{len(chosen)} poses are left to verify with, of {count} that were asked for; offer "
+            f"only {len(chosen)} poses remain for verification, but {count} were asked for; offer "
             "more candidates, or ask for fewer"
         )
     chosen, readings = chosen.rows(np.arange(count)), None
@@ -201,14 +201,14 @@ def with_verification(
 
 
 class Candidates:
-    """Rows of a plan: which are offered, what they say of the unknowns and of the platform."""
+    """The N rows of a plan as candidates of a session, with their information on n unknowns."""
 
     offered: Mask
-    """Rows in reach that a fit follows, shape (N,)."""
+    """Rows in reach that a fit uses, shape (N,)."""
     rows: Array
-    """White rows of the plan, zero where not offered, shape (N, k, n)."""
+    """Whitened rows of the plan, zero where not offered, shape (N, k, n)."""
     beforehand: Array
-    """White rows of what is known beforehand, shape (m, n)."""
+    """Whitened rows of prior knowledge, shape (m, n)."""
     workspace: Plan
     """Configurations over which errors are stated."""
 
@@ -222,9 +222,9 @@ class Candidates:
         setup: Setup,
         priors: Mapping[str, float],
     ) -> None:
-        """Look at a plan by the nominal mechanism, whose parameters are known to ± priors by id.
+        """Forecast the rows of a plan with the nominal mechanism.
 
-        What is measured, and what it means, is said as to ``forecast``.
+        ``priors`` are standard deviations by parameter id; the rest is as for ``forecast``.
         """
         legs = legs_at(mechanism, touching(mechanism, plan, setup))
         frames = forecast(mechanism, plan, noise, measured, setup).frames
@@ -243,25 +243,25 @@ class Candidates:
         half = np.asarray(np.linalg.qr(G / np.sqrt(len(gain)), mode="r")).T
         unmoving = len(unknowns) - len(half)
         self._moved = np.pad(half, ((0, unmoving), (0, 0)))  # C: tr Cᵀ M⁻¹ C is a mean square
-        self.limit = cache(self._limit)  # rows come one by one
+        self.limit = cache(self._limit)  # ``limits`` asks again for the same rows and a further one
 
     def information(self, measured: Sequence[int]) -> Array:
-        """Return M of priors and rows of the plan, shape (n, n)."""
+        """Return the information M of priors and measured rows of the plan, shape (n, n)."""
         flat = self.rows[list(measured)].reshape(-1, self.rows.shape[2])
         rows = np.concatenate((self.beforehand, flat))
         return np.asarray(rows.T @ rows)
 
     def limits(self, measured: Sequence[int]) -> list[float]:
-        """Return the limit of the platform's error to expect after each of some rows, [m]."""
+        """Return the limit of the platform's expected error after each of the rows, [m]."""
         return [self.limit(*measured[: count + 1]) for count in range(len(measured))]
 
     @one_thread()
     def _limit(self, *measured: int) -> float:
-        """Return below which the platform's position error is in 95 of 100 machines, [m].
+        """Return the 95 % limit of the platform's position error, [m], after the measured rows.
 
-        Root mean square over the workspace, [rad] of a platform that only turns. Its square is a
-        weighted sum of squares, with the quantile of the χ² of its mean and variance (Satterthwaite
-        1946): weights are eigenvalues of V = Cᵀ M⁻¹ C, of sum tr V; their squares' is tr V².
+        The error is the RMS over the workspace, [rad] for a platform that only turns. Its square is
+        a sum of squares weighted by eigenvalues of V = Cᵀ M⁻¹ C; its quantile is taken from the χ²
+        of equal mean, tr V, and variance, 2 tr V² (Satterthwaite 1946).
         """
         half = inverse_roots(self.information(measured)[None])[0].T @ self._moved
         V = half.T @ half
@@ -271,10 +271,10 @@ class Candidates:
 
     @one_thread()
     def best(self, measured: Sequence[int]) -> tuple[int, float]:
-        """Return the row of the plan to measure next, and by what share errors then fall.
+        """Return the row of the plan to measure next, and the relative decrease of errors by it.
 
-        By no other do they fall by more, in the geometric mean of all unknowns. Rows that were
-        measured come again when no other is left.
+        No other row decreases the errors more, in the geometric mean of all unknowns. Measured rows
+        are only repeated when no other is left.
 
         Raises:
             MeasurementError: no row is offered.
@@ -289,13 +289,13 @@ class Candidates:
         return int(places[gains.argmax()]), float(falls)
 
     def fresh(self, measured: Sequence[int]) -> Mask:
-        """Return which rows are offered and were not measured, shape (N,)."""
+        """Return a mask of the offered rows that were not measured, shape (N,)."""
         fresh = self.offered.copy()
         fresh[list(measured)] = False
         return fresh
 
     def course(self) -> list[int]:
-        """Return rows of the plan in the order in which they will be chosen, 100 at most."""
+        """Return rows of the plan in the order in which ``best`` chooses them, at most 100."""
         measured: list[int] = []
         while len(measured) < _COURSE and self.fresh(measured).any():
             measured.append(self.best(measured)[0])

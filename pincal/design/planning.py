@@ -37,20 +37,20 @@ from pincal.workspace.limits import Limits, moving_points
 from pincal.workspace.sampling import sample_configurations, sample_contacts
 
 CONFIGURATIONS = 3000
-"""Candidates, where all parameters are looked at together."""
+"""Number of candidates, where poses serve all parameters together."""
 _POSES = 30_000  # candidates, where legs have poses of their own
-_FEW = 4  # times as many candidates as that are drawn again, where limits leave fewer
+_FEW = 4  # if limits leave less than 1 of so many candidates, more are drawn
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class PlanningOptions(Limits):
-    """How poses are chosen, and in which order they are driven."""
+    """Options on the choice of poses, and on the order in which they are driven."""
 
     count: int = option(
         24,
-        "Poses for each leg; orbits with --protocol orbits; of all legs with --protocol common, "
-        "--goal platform, --measure or an unknown frame.",
+        "Number of poses for each leg; orbits with --protocol orbits; poses for all legs with "
+        "--protocol common, --goal platform, --measure or an unknown frame.",
         least=1,
     )
     protocol: Protocol | None = option(
@@ -61,7 +61,7 @@ class PlanningOptions(Limits):
     )
     candidates: Any = option(
         None,
-        "Poses to choose from; else 30000 are sampled, 3000 for all legs at once.",
+        "Poses to choose from; by default 30000 are sampled, 3000 for all legs together.",
         metavar="CSV",
         kind=Path | None,
     )
@@ -69,19 +69,19 @@ class PlanningOptions(Limits):
         None, "Avoid self-collisions of an arm, by this file's geometry.", metavar="ROBOT.urdf"
     )
     goal: Goal = option("parameters", "Best for the parameters, or for the calibrated platform.")
-    starts: int = option(5, "Starts of the search; the best is kept.", least=1)
+    starts: int = option(5, "Number of starts of the search; the best result is kept.", least=1)
     distances: int = option(
         0,
-        "Distances from each pose to others, by calliper or tape, in place of positions.",
+        "Measure this many distances from each pose to others, by calliper or tape, not positions.",
         least=0,
     )
     verify: int = option(0, "Additional random poses to verify the calibration with.", least=0)
     rounds: int = option(
-        3, "Rounds of short ways, each over a random share of all poses; 1 is shortest.", least=1
+        3, "Drive in so many rounds, each over a random share of poses; 1 is shortest.", least=1
     )
     reference: int | None = option(
         None,
-        "Repeat the middle pose every so many rows, which shows drift [default: at both ends and "
+        "Repeat the middle pose every so many rows, to show drift [default: at both ends and "
         "between rounds]; 0 for never.",
         least=0,
     )
@@ -100,26 +100,26 @@ def select(
 ) -> Selection:
     """Return chosen poses as a plan that can be driven, as ``pincal select`` does.
 
-    Candidates are sampled from the workspace, or given; those outside limits are left out. The
-    plan's rows are in rounds (``design.order``), with poses to verify with, and the middle pose
-    again and again.
+    Candidates are given, or sampled from the workspace; those outside the limits are left out. The
+    plan is in rounds (``design.order``), with poses for verification and repetitions of the middle
+    pose.
 
     Args:
         mechanism: The mechanism.
-        measured: What will be measured of the platform (see ``forecast``); the pose if not given.
-        setup: What measured numbers will mean.
-        noise: Standard deviations of the measurements to come.
-        margins: Distances from singularities, and tensions of cables, that candidates keep.
-        progress: Called with what is being done.
-        **options: Those of the command: ``count``, ``protocol``, ``candidates`` (a plan, poses or
+        measured: Quantities of the platform to measure (see ``forecast``); the pose by default.
+        setup: Meaning of the measured numbers.
+        noise: Standard deviations of the future measurements.
+        margins: Least distances from singularities, and tensions of cables, of candidates.
+        progress: Function that is called with the name of each step.
+        **options: Options of the command: ``count``, ``protocol``, ``candidates`` (a plan, poses or
             their file), ``goal``, ``starts``, ``seed``, ``collision``, ``box``, ``floor``,
             ``keep_out``, ``clearance``, ``verify``, ``rounds``, ``reference``, ``distances``.
 
     Raises:
-        ObservabilityError: too few poses for the parameters, or too few candidates.
+        ObservabilityError: there are too few poses for the parameters, or too few candidates.
         WorkspaceError: no candidate is within the limits.
-        MeasurementError: options that do not go together.
-        FileError: a file that cannot be read.
+        MeasurementError: options contradict each other.
+        FileError: a file cannot be read.
 
     Example:
         >>> import pincal
@@ -130,12 +130,12 @@ def select(
     mechanism, choice = as_mechanism(mechanism), PlanningOptions(**options)
     if mechanism.influences:
         _log.info(
-            "planned with %s at their reference: their terms need rows in which they differ",
+            "planned with %s at their reference; to identify their terms, vary them between rows",
             ", ".join(mechanism.influences),
         )
         mechanism = mechanism.at_reference
     setup = read_setup(setup or Setup())
-    if choice.distances:  # say in a machine's own frame what positions say
+    if choice.distances:  # they hold the information of positions in an unknown frame
         setup = setup.anywhere(frame=True)
         measured = mechanism.platform.freedoms[: mechanism.platform.lengths]
     noise = with_reading_noise(as_noise(noise), mechanism)
@@ -143,9 +143,8 @@ def select(
     together = mechanism.by_readings or partial or choice.collision is not None
     if together and choice.protocol not in (None, "common"):
         raise MeasurementError(
-            f"--protocol {choice.protocol} chooses whole poses in the base frame that are best "
-            "for the parameters; leave it out where something else is measured or wanted: poses "
-            "are then common to all legs"
+            f"--protocol {choice.protocol} needs whole poses measured in the base frame, and the "
+            "goal 'parameters'; leave it out: poses are then common to all legs"
         )
     progress("sampling the workspace")
     offered = _candidates(mechanism, choice, setup, margins, CONFIGURATIONS if together else _POSES)
@@ -166,7 +165,7 @@ def select(
 def _of_legs(
     mechanism: Mechanism, offered: Plan, choice: PlanningOptions, search: dict[str, Any]
 ) -> Selection:
-    """Return poses by a protocol: symmetric if mechanism and limits allow it, if none is said."""
+    """Return poses chosen leg by leg; the default protocol is symmetric where that is possible."""
     protocol = choice.protocol
     if protocol is None:
         try:
@@ -194,7 +193,7 @@ def _candidates(
     margins: Margins | None,
     count: int,
 ) -> Plan:
-    """Return poses to choose from, those given or about so many, that keep limits and margins."""
+    """Return candidates within limits and margins: the given ones, or about ``count`` samples."""
     if choice.candidates is not None:
         offered = read_poses(choice.candidates, mechanism, setup=setup)
     else:
@@ -219,7 +218,7 @@ def _candidates(
 def sampled(
     mechanism: Mechanism, setup: Setup, count: int, seed: int, margins: Margins | None = None
 ) -> Plan:
-    """Return configurations of the workspace, at the points of contacts if the setup has any."""
+    """Return samples of the workspace, at the points of contacts if the setup has any."""
     if not setup.contacts:
         return sample_configurations(mechanism, count, seed, margins)
     plan, placed = sample_contacts(mechanism, setup, count, seed)
@@ -229,16 +228,14 @@ def sampled(
         if setup.contacts[column].points[point] is None
     ]
     if planned:
-        _log.info(
-            "planned with %s: give places in the setup if they are elsewhere", listed(planned)
-        )
+        _log.info("planned with %s: give their places in the setup if they differ", listed(planned))
     return plan
 
 
 def _driven(
     mechanism: Mechanism, plan: Plan, offered: Plan, choice: PlanningOptions, setup: Setup
 ) -> Plan:
-    """Return a plan with poses to verify with and distances, in the order in which it is driven."""
+    """Return a plan in driving order, with poses for verification and distances."""
     if choice.verify:
         plan = with_verification(mechanism, plan, offered, choice.verify, choice.seed)
         _log.info("%d more poses, in the set 'verify', are kept for verification", choice.verify)
@@ -249,15 +246,15 @@ def _driven(
     if blocked.any():
         ways = np.diagonal(choice.blocked(moving_points(mechanism, plan, setup)), 1)
         if through := [f"{row + 1} to {row + 2}" for row in np.flatnonzero(ways)]:
-            _log.info("ways through what is kept out: from row %s", listed(through))
+            _log.info("ways pass through --keep-out: from row %s", listed(through))
     return with_distances(plan, choice.distances)
 
 
 def with_reading_noise(noise: Noise, mechanism: Mechanism) -> Noise:
-    """Return noise with which more readings than freedoms can agree: exact ones cannot."""
+    """Return noise with a noise of readings, which machines with surplus readings need."""
     if noise.reading or not mechanism.redundant:
         return noise
     reading = assumed_noise(mechanism, exact=False).reading
     size = amount(reading, mechanism.reading_units[0]).replace(" ", "")
-    _log.info("more readings than freedoms cannot all be exact: --noise-reading %s is taken", size)
+    _log.info("more readings than freedoms cannot all be exact: assumed --noise-reading %s", size)
     return replace(noise, reading=reading)

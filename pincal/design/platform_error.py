@@ -1,7 +1,7 @@
-"""What uncertain parameters mean for the platform: the error of where it goes.
+"""Error of the platform's pose that follows from the covariance of the parameters.
 
-With e of all legs, δx = −(∂e/∂x)⁻¹ (∂e/∂φ) δφ: single parameters may be uncertain and yet well
-known together. Where frames are not measured, motions of these frames are left out.
+With e of all legs, δx = −(∂e/∂x)⁻¹ (∂e/∂φ) δφ: uncertain single parameters may still determine the
+pose well together. Where frames are not measured, the error is taken after their best fit.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from pincal.words.numbers import amount
 from pincal.words.wording import UNCOVERED
 
 Seen = Callable[[Array, Array], tuple[Array, Array, tuple[str, ...]]]
-"""Returns what was measured of twists of the platform, (N, dof, k), at poses, (N, dof): (N, r, k),
-how unknown frames move it, (N, r, m), and the unit of each of the r; positions of several targets
-over the square root of how many they are."""
+"""Function that projects twists of the platform, (N, dof, k), at poses, (N, dof), on r measured
+quantities: (N, r, k). It also returns their motion by unknown frames, (N, r, m), and their units;
+positions of several targets are divided by the square root of the number of targets."""
 CONFIDENCE = 0.95
 DRAWS = 10_000
-_ROUNDING = 1e-6  # by which what is moved at one pose may differ
+_ROUNDING = 1e-6  # relative rounding error of a motion
 
 
 class Unidentified(NamedTuple):
@@ -39,38 +39,38 @@ class Unidentified(NamedTuple):
     directions: Array
     """Columns of shape (n, n_lost), as long as parameters may differ from nominal."""
     nominal: Mechanism
-    """The mechanism at which they were found."""
+    """The mechanism at which the directions were computed."""
     measured: Plan | None = None
-    """Where all that is seen of the platform was measured: no more than there do they move it."""
+    """Poses at which everything was measured, so that larger motions than there count."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class PlatformError:
-    """Errors to expect of the platform: root mean squares over poses, and pose by pose.
+    """Expected errors of the platform: root mean squares over poses, and pose by pose.
 
-    Infinite where what is not identified moves the platform.
+    They are infinite where unidentified parameters move the platform.
     """
 
     std: Array
     """Standard error of each freedom at each planned pose, shape (N, dof), twists in base axes,
     [m] and [rad]; NaN out of reach, infinite where not determined."""
     units: tuple[str, ...]
-    """``"m"`` or ``"rad"`` of each freedom."""
+    """Unit of each freedom, ``"m"`` or ``"rad"``."""
     weights: Array
     """Eigenvalues of the mean squares of position and orientation, shape (2, n)."""
     degrees_of_freedom: float | None = None
-    """Of the noise, where its scale was estimated; None where it is known."""
+    """Degrees of freedom of the noise, if its scale was estimated; None if it is known."""
     unnoticed: float = 1.0
-    """Factor of the limit for errors that residuals cannot show, by χ² at 95 %."""
+    """Factor on the limit for errors that residuals cannot show, by χ² at 95 %."""
     hidden: tuple[float, float] = (0.0, 0.0)
-    """Root mean squares of the machine's errors up to that scale, beside noise, [m] and [rad]."""
+    """RMS errors of the machine up to that scale, in addition to noise, [m] and [rad]."""
     promised: bool = True
-    """Whether a limit is promised: not where something contradicts the model or its noise."""
+    """Whether a limit holds: False if something contradicts the model or its noise."""
     outside: Array = field(default_factory=lambda: np.zeros(0))
-    """How many times as uncertain as any measured pose each is, (N,): above 1 outside the measured
-    region, NaN out of reach; empty where no poses were measured."""
+    """Uncertainty of each pose over the largest one of measured poses, (N,): above 1 outside the
+    measured region, NaN out of reach; empty where no poses were measured."""
     uncovered: tuple[str, ...] = ()
-    """What no limit covers: of ``"weight"``, ``"scale"``, ``"time"`` (``pincal.words.wording``)."""
+    """Effects that no limit covers: ``"weight"``, ``"scale"``, ``"time"`` (see ``UNCOVERED``)."""
 
     @cached_property
     def sizes(self) -> Array:
@@ -79,12 +79,12 @@ class PlatformError:
 
     @cached_property
     def position(self) -> float:
-        """Root mean square over the poses that all legs reach, [m]."""
+        """RMS error of position over the poses that all legs reach, [m]."""
         return root_mean_squares(self.sizes, infinite=True)[0]
 
     @cached_property
     def orientation(self) -> float:
-        """The same, [rad]; zero for a platform without orientation."""
+        """RMS error of orientation, [rad]; zero for a platform without orientation."""
         return root_mean_squares(self.sizes, infinite=True)[1]
 
     @property
@@ -94,21 +94,21 @@ class PlatformError:
 
     @cached_property
     def determined(self) -> Mask:
-        """Planned poses that are reached and at which all is determined, shape (N,)."""
+        """Mask of the planned poses that are reached and fully determined, shape (N,)."""
         return np.asarray(np.isfinite(self.std).all(axis=1))
 
     @cached_property
     def within(self) -> Mask:
-        """Planned poses that are reached, determined and in the measured region, shape (N,)."""
+        """Mask of the poses that are reached, determined and in the measured region, (N,)."""
         return self.determined & ~(self.outside > 1.0) if self.outside.size else self.determined
 
     @cached_property
     def limit(self) -> tuple[float, float]:
-        """Below which root mean squares are in 95 of 100 such calibrations, [m] and [rad].
+        """Limits that the RMS errors of 95 of 100 such calibrations keep, [m] and [rad].
 
-        With errors δ of covariance C, the mean square δᵀ M δ is a sum of squares of normal
-        numbers, weighted by the eigenvalues of MC: drawn, with the scale of the noise if that was
-        estimated. Infinite where nothing is promised, or a pose lies outside the measured region.
+        For errors δ of covariance C, the mean square δᵀ M δ is a sum of squares of normal numbers,
+        weighted by the eigenvalues of MC. It is sampled, with the scale of the noise if that was
+        estimated. Limits are infinite if none is promised or a pose is outside the measured region.
         """
         if not self.promised or (self.outside > 1.0).any():
             return np.inf, np.inf
@@ -135,7 +135,7 @@ class PlatformError:
             lines.append(f"  no limit: outside the measured region at {counted(outside, 'pose')}")
         else:
             lines.append(f"  95 %: below       {self._shown(*self.limit)}")
-            lines += [f"  left out          {UNCOVERED[code]}" for code in self.uncovered]
+            lines += [f"  not covered       {UNCOVERED[code]}" for code in self.uncovered]
         if missing := len(self.std) - int(self.determined.sum()):
             lines.append(f"  out of reach or not determined at {missing} of {len(self.std)} poses")
         return "\n".join(lines)
@@ -154,17 +154,17 @@ def platform_error(
     frames: Array | Seen | None = None,
     degrees_of_freedom: float | None = None,
 ) -> PlatformError:
-    """Return what the covariance of the parameters means for the platform.
+    """Return the platform's error that follows from the covariance of the parameters.
 
     Args:
         mechanism: The mechanism.
-        covariance: Of the parameters of all legs, shape (n, n).
-        planned: N poses over which to take the mean, coordinates of shape (N, dof), or a plan.
-        lost: Directions of parameters that are not identified, columns of shape (n, n_lost): what
-            they move at all is not determined; of held ones, by more than median standard errors.
-        frames: Motions of frames that are not measured (see ``frames_moved``), shape (k, n_moved):
-            what they explain is left out. Or what is seen of the platform, in place of all of it.
-        degrees_of_freedom: Of the noise, where its scale was estimated.
+        covariance: Covariance of the parameters of all legs, shape (n, n).
+        planned: N poses over which means are taken, coordinates of shape (N, dof), or a plan.
+        lost: Unidentified directions of parameters, columns of shape (n, n_lost): freedoms that
+            they move are not determined. Held directions may move them by median standard errors.
+        frames: Motions of unmeasured frames (see ``frames_moved``), shape (k, n_moved), whose best
+            fit is subtracted; or a function that gives the measured part of twists.
+        degrees_of_freedom: Degrees of freedom of the noise, if its scale was estimated.
     """
     legs = legs_at(mechanism, planned)
     held = np.isfinite(legs.gain).all(axis=(1, 2))  # not at a type-2 singularity
@@ -194,11 +194,11 @@ def platform_error(
 def _motions_of_held(
     lost: Unidentified, planned: Plan | Array, least: Array, frames: Array | Seen | None
 ) -> Array:
-    """Return what held directions may move at planned configurations, shape (N, r, k).
+    """Return the motions by held directions at planned configurations, shape (N, r, k).
 
-    Infinite where that is more than a least motion, by which each freedom is uncertain anyway, (r,)
-    [m] and [rad], and than where all of it was measured; zero where it is less than a least motion.
-    Directions that move nothing are left out.
+    A motion is zero below ``least``, the usual uncertainty of each freedom, (r,), [m] and [rad]. It
+    is infinite above both ``least`` and the largest motion at poses where all was measured.
+    Directions without any motion are dropped.
     """
 
     def seen_at(plan: Plan | Array) -> tuple[Mask, Array]:
@@ -221,10 +221,10 @@ def _motions_of_held(
 def seen_of(
     mechanism: Mechanism, poses: Array, twists: Array, frames: Array | Seen | None, lever: float = 0
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return what is seen of twists of the platform, (N, dof, k), and its units.
+    """Return twists of the platform, (N, dof, k), less the best fit of frames, and their units.
 
-    Motions of frames explain the rest, see ``platform_error``; poses are coordinates, (N, dof),
-    angles count as lengths at a lever, the mechanism's size if 0.
+    ``frames`` are as for ``platform_error``, poses are coordinates, (N, dof). For the fit angles
+    count as lengths at a lever, [m]; 0 takes the mechanism's size.
     """
     platform, units = mechanism.platform, mechanism.platform.units
     if frames is None:
@@ -237,23 +237,23 @@ def seen_of(
 
 
 def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:
-    """Return where directions move the platform by more than a least motion, shape (N, dof)."""
+    """Return a mask of freedoms that directions move by more than ``least``, shape (N, dof)."""
     largest = np.abs(gain).max(axis=(0, 2), initial=0.0) * np.abs(lost).max(initial=0.0)
     moved = np.abs(gain @ lost).max(axis=2, initial=0.0)
     return np.asarray(moved > np.maximum(NEGLIGIBLE * largest, least))
 
 
 def sizes(units: tuple[str, ...], twists: Array) -> Array:
-    """Return the sizes of positions [m] and of orientations [rad] of twists, (N, dof) to (N, 2)."""
+    """Return the lengths [m] and the angles [rad] of twists, (N, dof), as an array (N, 2)."""
     turns = np.array([unit == "rad" for unit in units], dtype=bool)
     parts = (np.linalg.norm(twists[:, columns], axis=1) for columns in (~turns, turns))
     return np.stack(tuple(parts), axis=1)
 
 
 def root_mean_squares(sizes: Array, *, infinite: bool = False) -> tuple[float, float]:
-    """Return root mean squares of both columns, (N, 2), over finite rows; NaN without any.
+    """Return the root mean squares of both columns, (N, 2), over finite rows; NaN without any.
 
-    Infinite rows may count: with one, the root mean square is infinite.
+    If ``infinite``, infinite rows count, and one makes the root mean square infinite.
     """
     known = sizes[~np.isnan(sizes).any(axis=1) if infinite else np.isfinite(sizes).all(axis=1)]
     if not len(known):

@@ -1,17 +1,17 @@
-"""Choosing what to measure: poses for one leg, mapped to all, or configurations for all at once.
+"""Choice of poses to measure: for single legs, mapped to all, or for all legs together.
 
-Poses serve legs by a protocol:
+The protocol says which legs use a pose:
 
-- ``independent``: each leg its own poses (5R paper);
+- ``independent``: each leg has its own poses (5R paper);
 - ``symmetric``: one leg's poses, carried to the other legs of its orbit by the group (3-RRR paper,
-  Eqs. 14, 22); of several orbits one reference leg each;
+  Eqs. 14, 22); each orbit of legs has a reference leg;
 - ``orbits``: whole orbits of the group, so that each measured pose serves every leg;
 - ``common``: poses that are best for the parameters of all legs together (the papers'
   traditional identification).
 
-Configurations are chosen by the rows of the best estimator (see ``forecast``), whatever part of the
-platform is measured and wherever the tracker is; directions that no candidate determines are left
-out. Each choice comes with its efficiency against the bound that no choice exceeds.
+Configurations for all legs together are chosen by the rows of the best estimator (see
+``forecast``), for any measured quantities and unknown frames; directions that no candidate
+determines are left out. Each choice has its efficiency against a bound that no choice exceeds.
 """
 
 from __future__ import annotations
@@ -67,24 +67,24 @@ from pincal.model.setup import Setup
 from pincal.symmetry.elements import IDENTITY, Element
 from pincal.types import Array, Mask
 
-_SAMPLE = 64  # candidates on which it is looked at whether rows map
+_SAMPLE = 64  # candidates on which the mapping of rows is tested
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
 Goal = Literal["parameters", "platform"]
 
 
 @dataclass(frozen=True)
 class LegDesign:
-    """What a selection gives one leg."""
+    """Quality of a selection for a single leg."""
 
     leg: str
     poses: int
-    """Poses that serve the leg."""
+    """Number of poses that serve the leg."""
     efficiency: float
-    """(det/det of the continuous bound)^(1/n) of the search that chose them."""
+    """(det/det of the continuous bound)^(1/n) of the search that chose the poses."""
     indices: Indices
-    """Of the identification Jacobian in readings, not weighted."""
+    """Observability indices of the unweighted identification Jacobian of readings."""
     r_diagonal: Array
-    """|R_ii| of the same, shape (n_params,)."""
+    """|R_ii| of the same Jacobian, shape (n_params,)."""
     condition: float
     reference: str
     """Leg whose poses were mapped to this one; the leg itself if none was."""
@@ -92,7 +92,7 @@ class LegDesign:
 
 @dataclass(frozen=True, repr=False)
 class Selection:
-    """Selected poses and how good they are.
+    """Selected poses and their quality.
 
     Example:
         >>> import pincal
@@ -106,18 +106,18 @@ class Selection:
     count: int
     """Number of poses chosen; a plan that is driven has further rows."""
     protocol: Protocol | Goal
-    """How poses serve legs, or what ``select_configurations`` chose for."""
+    """Protocol of ``select_poses``, or goal of ``select_configurations``."""
     efficiency: float
-    """Against the bound on any choice, 0 to 1: the smallest of all legs, or of all parameters
-    together by the determinant^(1/n) of what can be identified or the platform's mean variance."""
+    """Efficiency, 0 to 1, against the bound on any choice: the smallest of all legs; or of all
+    parameters, by determinant^(1/n) of those identifiable or by the platform's mean variance."""
     candidates: int
-    """Number of poses that all legs reach; of ``select_poses`` copies counted."""
+    """Number of candidates that all legs reach; for ``select_poses`` with copies."""
     unreachable: int = 0
     """Number of candidate poses out of reach of a leg, which were left out."""
     legs: tuple[LegDesign, ...] = ()
-    """What ``select_poses`` gives each leg."""
+    """Quality for each leg, from ``select_poses``."""
     rank: Identifiability | None = None
-    """What all candidates of ``select_configurations`` together determine."""
+    """Rank of all candidates of ``select_configurations`` together."""
     measured: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -126,17 +126,17 @@ class Selection:
 
     @attached
     def __str__(self) -> str:
-        """Return the table of what it gives each leg, or what was measured and is determined."""
+        """Return the table of legs, or the measured quantities and the rank."""
 
 
 class Search:
-    """Candidates that a mechanism reaches, and the best of them."""
+    """Search for the best poses among the candidates that a mechanism reaches."""
 
     def __init__(self, mechanism: Mechanism, candidates: Array, count: int, **options: Any) -> None:
-        """Hold the candidates that all legs reach, each once, of coordinates of shape (M, dof).
+        """Keep the candidates, coordinates of shape (M, dof), that all legs reach, without copies.
 
         Raises:
-            ObservabilityError: fewer of them than the poses, or orbits, that are to be chosen.
+            ObservabilityError: fewer candidates are in reach than poses or orbits are wanted.
         """
         self.mechanism, self.count = mechanism, count
         self.noise, self.rng, self.starts = _search_options(**options)
@@ -154,12 +154,12 @@ class Search:
     def choose(
         self, legs: Sequence[str], elements: Sequence[Element] = (IDENTITY,)
     ) -> tuple[Array, float]:
-        """Return the best poses for legs, with their orbits, shape (N, dof), and their efficiency.
+        """Return the best poses for legs with their orbits, shape (N, dof), and their efficiency.
 
-        Legs are given as often as each is to count, of the group the identity first.
+        A leg counts as often as it is listed. The first of ``elements`` is the identity.
 
         Raises:
-            ObservabilityError: too few poses or candidates, or some parameter undetermined.
+            ObservabilityError: there are too few poses or candidates, or undetermined parameters.
         """
         poses, platform = self.poses, self.mechanism.platform
         images, first = orbit_of(elements, platform.matrices(poses))
@@ -189,7 +189,7 @@ class Search:
     def rows(self, images: Array, legs: Sequence[str], first: Mask | None = None) -> Parts:
         """Return whitened rows of legs, a part for each, at images of poses, shape (E, M, 4, 4).
 
-        They are zero at images that do not count, of shape (E, M): each pose is measured once.
+        They are zero at images outside the mask ``first``, (E, M): each pose is measured once.
         """
         rows: dict[str, Array] = {}
         for leg in dict.fromkeys(legs):
@@ -206,13 +206,13 @@ class Search:
 def _search_options(
     noise: Noise | None = None, seed: int | np.random.Generator = 0, starts: int = 5
 ) -> tuple[Noise, np.random.Generator, int]:
-    """Return the noise of measurements, the generator of random starts, and how many of these."""
+    """Return the noise of measurements, the generator of random starts, and their number."""
     count = count_of(starts, "starts", MeasurementError, 1, 1000)
     return as_noise(noise), generator_of(seed, MeasurementError), count
 
 
 def _check_equations(count: int, r: int, n: int, subject: str) -> None:
-    """Raise if so many choices, of r equations each, are too few for n unknowns."""
+    """Raise unless ``count`` poses of r equations each are enough for n unknowns."""
     if count * r < n:
         raise ObservabilityError(
             f"{count} poses give {count * r} equations for the {n} {subject}; choose at least "
@@ -228,25 +228,25 @@ def select_poses(
     protocol: Protocol = "symmetric",
     **options: Any,
 ) -> Selection:
-    """Return poses chosen from candidates for D-optimality, with a certificate.
+    """Return a D-optimal choice of poses from candidates, with a certificate.
 
-    Rows are weighted by the noise they carry, so that poses near type-1 singularities do
-    not look better than they are.
+    Rows are weighted by their noise, so that poses near type-1 singularities do not look better
+    than they are.
 
     Args:
         mechanism: The mechanism.
-        candidates: Poses to choose from, coordinates of shape (M, dof), [m] and [rad]; one that
-            is there twice counts once, whatever its whole turns and its last digits.
-        count: Poses for each leg; with ``orbits``, number of orbits; with ``common``, poses.
+        candidates: Poses to choose from, coordinates of shape (M, dof), [m] and [rad]; copies (up
+            to whole turns and rounding errors) count once.
+        count: Number of poses for each leg; with ``orbits``, of orbits; with ``common``, of poses.
         protocol: See the module.
-        **options: ``noise`` of the measurements to come, of which only ratios matter; ``seed`` of
-            random starts, a number or generator; ``starts``, how many of these, the best counts.
+        **options: ``noise`` of the future measurements, of which only ratios matter; ``seed`` of
+            the random starts, a number or generator; ``starts``, their number.
 
     Raises:
-        ObservabilityError: too few poses for the parameters, too few candidates in reach, or
-            candidates that leave a parameter undetermined.
+        ObservabilityError: there are too few poses for the parameters, too few candidates in
+            reach, or the candidates leave a parameter undetermined.
         SymmetryError: the mechanism lacks the symmetry that ``symmetric`` or ``orbits`` needs.
-        MeasurementError: a residual without noise.
+        MeasurementError: a residual has no noise.
     """
     mechanism = as_mechanism(mechanism).at_reference
     count_of(count, "count", MeasurementError)
@@ -257,9 +257,9 @@ def select_poses(
         equations, readings = mechanism.platform.equations(leg), len(leg.sensors)
         if equations > readings:
             raise ObservabilityError(
-                f"{leg.name} of {mechanism.name!r} makes {equations} equations at a pose and has "
-                f"{readings} reading: rows of readings lack rank, and poses for single legs cannot "
-                "be compared by them. Choose configurations for all parameters together: "
+                f"{leg.name} of {mechanism.name!r} has {equations} equations at a pose but "
+                f"{readings} reading: rows of readings lack rank, and cannot compare poses for "
+                "single legs. Choose configurations for all parameters together: "
                 "select_configurations, or 'pincal select' without a protocol"
             )
     search = Search(mechanism, candidates, count, **options)
@@ -270,7 +270,7 @@ def select_poses(
         spread = search.poses[:: max(1, len(search.poses) // _SAMPLE)][:_SAMPLE]
         carried = carried_legs(group, spread, search.noise)
     if protocol in ("common", "orbits"):
-        # a reference leg counts as often as its orbit has legs, over what all orbits have in common
+        # a reference leg counts once for each leg of its orbit, less the common factor of orbits
         times = Counter(reference for reference, _, _ in carried.values())
         legs = [leg for leg, size in times.items() for _ in range(size // gcd(*times.values()))]
         elements = smallest(group) if protocol == "orbits" else (IDENTITY,)
@@ -295,9 +295,9 @@ def select_poses(
 def _leg_by_leg(
     search: Search, carried: dict[str, tuple[str, Element, bool]]
 ) -> tuple[Plan, list[float]]:
-    """Return poses of each leg, its own or carried ones, and their efficiencies in order.
+    """Return a plan of each leg's own or carried poses, and the efficiencies of legs in order.
 
-    Carried poses whose rows do not map are judged by candidates that are carried, too.
+    If rows do not map, the carried poses are compared with carried candidates.
     """
     platform = search.mechanism.platform
     choices: dict[str, tuple[Array, float]] = {}
@@ -330,24 +330,24 @@ def select_configurations(
     goal: Goal = "parameters",
     **options: Any,
 ) -> Selection:
-    """Return configurations chosen from candidates, with a certificate.
+    """Return an optimal choice of configurations from candidates, with a certificate.
 
     Args:
         mechanism: The mechanism.
-        candidates: Poses of shape (M, dof), or a plan with readings; one that is there twice
-            counts once, whatever its whole turns and its last digits.
+        candidates: Poses of shape (M, dof), or a plan with readings; copies (up to whole turns and
+            rounding errors) count once.
         count: Number of configurations.
-        measured: What will be measured of the platform (see ``forecast``).
-        setup: What measured numbers will mean.
-        goal: ``"parameters"``: D-optimality. ``"platform"``: the calibrated platform's mean
-            variance over the candidates is smallest (L-optimality), of its position and, times
-            the radius at which its legs hold it, its orientation.
-        **options: ``noise``, ``seed``, ``starts``: as of ``select_poses``.
+        measured: Quantities of the platform to measure (see ``forecast``).
+        setup: Meaning of the measured numbers.
+        goal: ``"parameters"``: D-optimality. ``"platform"``: least mean variance of the calibrated
+            platform over the candidates (L-optimality), of its position and its orientation times
+            the mean radius of the legs' joints on it.
+        **options: ``noise``, ``seed``, ``starts``: as for ``select_poses``.
 
     Raises:
-        ObservabilityError: too few configurations for what can be identified.
-        MeasurementError: unknown freedoms or goal, or measurements without noise or equations, or
-            no candidate in reach.
+        ObservabilityError: there are too few configurations for the identifiable unknowns.
+        MeasurementError: freedoms or goal are unknown, measurements have no noise or equations, or
+            no candidate is in reach.
     """
     mechanism = as_mechanism(mechanism).at_reference
     count_of(count, "count", MeasurementError, 1)

@@ -1,9 +1,9 @@
-"""Simulated measurements: a disturbed mechanism is driven by the nominal one and measured.
+"""Simulated measurements: the nominal mechanism drives a disturbed one, which is measured.
 
-As in the papers: the nominal inverse kinematics commands readings, the true mechanism
-goes where its forward kinematics says, and pose and readings are measured with noise.
-More legs than freedoms cannot all obey the nominal mechanism: such a machine is taken to the
-planned poses, every leg kept taut, and read there.
+As in the papers, the nominal inverse kinematics commands readings, the true mechanism goes to the
+pose of its forward kinematics, and pose and readings are measured with noise. If legs are more than
+freedoms, they cannot all obey the nominal mechanism: such a machine is moved to the planned poses
+with every leg taut, and its readings are taken there.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pincal.types import Array, Index
 from pincal.words.numbers import amount, listed
 
 ERROR = 1e-3
-"""Of a machine's parameters if nothing is said: of its size, [rad], or [1]."""
+"""Default standard deviation of a machine's parameters: over its size, [rad], or [1]."""
 
 
 def disturb(
@@ -43,17 +43,17 @@ def disturb(
     sigma: float | Mapping[str, float] | None = None,
     seed: int | np.random.Generator = 0,
 ) -> Mechanism:
-    """Return the mechanism with normal errors on every identified parameter.
+    """Return the mechanism with normally distributed errors on every identified parameter.
 
     Args:
         mechanism: The nominal mechanism.
-        sigma: Standard deviation, alike for lengths [m], angles [rad] and gains [1], or by
-            parameter's id. If not given, 0.001 of the machine's size (its longest leg, stretched)
+        sigma: Standard deviation, equal for lengths [m], angles [rad] and gains [1], or by
+            parameter id. By default 0.001 of the machine's size (its longest leg, stretched)
             for lengths, 0.001 otherwise.
         seed: Seed or generator.
 
     Raises:
-        MeasurementError: a negative or infinite sigma, or one of an unknown parameter.
+        MeasurementError: sigma is negative or infinite, or names an unknown parameter.
     """
     mechanism = as_mechanism(mechanism)
     parameters, rng = mechanism.parameters, generator_of(seed, MeasurementError)
@@ -77,13 +77,13 @@ def disturb(
 
 @dataclass(frozen=True, repr=False)
 class Simulation:
-    """Simulated measurements, and the poses of the plan that could not be measured."""
+    """Simulated measurements, and the rows of the plan that could not be measured."""
 
     measurements: Measurements
     rows: Index
     """Row of the plan that each measurement belongs to, shape (N,)."""
     unreachable: tuple[tuple[int, str], ...]
-    """Rows of the plan without a measurement, and why."""
+    """Rows of the plan without a measurement, with the reason."""
 
     def __repr__(self) -> str:
         return f"Simulation({len(self.rows)} measurements, {len(self.unreachable)} not reached)"
@@ -98,24 +98,23 @@ def simulate(
     seed: int | np.random.Generator = 0,
     setup: Setup | str | Path | None = None,
 ) -> Simulation:
-    """Return what a measurement of the true mechanism at planned poses would give.
+    """Return simulated measurements of the true mechanism at planned poses.
 
-    With contacts, the true mechanism is led until its targets touch; gauges read by how much they
-    miss where it goes. No pose is measured then, nor is it with distances between rows, or cameras.
-    Instruments are where their nominal values say; points that a camera does not see from there
-    are NaN.
+    With contacts, the true mechanism is led until its targets touch; gauges read the remaining
+    distances where it is driven. No pose is measured with contacts, distances between rows or
+    cameras. Instruments have their nominal places; points that a camera does not see are NaN.
 
     Args:
         mechanism: The nominal mechanism, which commands the poses.
-        truth: The true mechanism, which goes elsewhere; with more legs than freedoms to the poses.
+        truth: The true mechanism; with more legs than freedoms it goes to the poses exactly.
         plan: Poses to command.
-        noise: Standard deviations of what is measured.
+        noise: Standard deviations of the measurements.
         seed: Seed or generator.
-        setup: Says which columns of the plan have points that a target touches, if any do.
+        setup: Instruments, and columns of the plan that name points that targets touch.
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
-            out of its leg's reach.
+        MechanismError: poses have a wrong shape or are not finite; or a sensor is homed and its
+            leg cannot reach the home pose.
     """
     mechanism, truth = as_mechanism(mechanism), as_mechanism(truth)
     setup, noise = read_setup(setup or Setup()), as_noise(noise)
@@ -134,7 +133,7 @@ def simulate(
     rows = np.flatnonzero([not reason for reason in reasons])
     measured = replace(plan.rows(rows), poses=poses[rows], readings=readings[rows])
     influences = by_name(truth, planned_influences(truth, measured))
-    # One draw for each planned pose, so that a lost pose does not shift the others' noise.
+    # One draw for each planned pose, so that a lost pose does not change the noise of the others.
     pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))
     reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.reading_names)))
     shown = np.nan if setup.frameless else platform.moved(measured.poses, pose_noise[rows])
@@ -157,7 +156,7 @@ def simulate(
 
 
 def _observed(truth: Mechanism, plan: Plan, setup: Setup) -> dict[str, Array]:
-    """Return distances, and what instruments read, at true poses, (N,) each."""
+    """Return exact distances and readings of instruments at true poses, by column, (N,)."""
     columns = [
         *setup.read_lengths,
         *(name for device in setup.instruments for name in device.columns),
@@ -178,7 +177,7 @@ def _observed(truth: Mechanism, plan: Plan, setup: Setup) -> dict[str, Array]:
 def _driven(
     model: Mechanism, truth: Mechanism, planned: Plan
 ) -> tuple[Array, Array, Array, list[str]]:
-    """Return commanded poses and readings, true poses, and why some rows have none, else empty."""
+    """Return commanded poses and readings, true poses, and by row why there is none, or ``""``."""
     targets, readings, reasons = command(model, planned)
     rows = np.flatnonzero([not reason for reason in reasons])
     reasons = [reason and f"nominal mechanism: {reason}" for reason in reasons]
@@ -193,17 +192,17 @@ def _driven(
 
 @dataclass(frozen=True, repr=False)
 class Accuracy:
-    """How far the platform goes from where it is sent."""
+    """Errors between commanded and reached poses of the platform."""
 
     position: float
     """Root mean square distance, [m]."""
     orientation: float
     """Root mean square angle, [rad]; zero for a platform without orientation."""
     worst_position: float
-    """[m]."""
+    """Largest distance, [m]."""
     poses: int
     unreachable: int
-    """Poses that the model cannot command or the true mechanism cannot reach."""
+    """Number of poses that the model cannot command or the true mechanism cannot reach."""
 
     def __repr__(self) -> str:
         turns = f", {amount(self.orientation, 'rad')}" if self.orientation else ""
@@ -213,15 +212,14 @@ class Accuracy:
 
 @one_thread()
 def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> Array:
-    """Return how far the true mechanism goes from poses that a model commands, shape (N, dof).
+    """Return the errors of the true mechanism at poses that a model commands, shape (N, dof).
 
-    With more legs than freedoms it goes to the pose of least gaps (see ``forward``).
-
-    Twists from the commanded pose to the true one at the platform's origin, base axes, [m] and
-    [rad]; NaN where the model cannot command a pose or the true mechanism cannot reach it.
+    They are twists from the commanded pose to the true one at the platform's origin, in base axes,
+    [m] and [rad]; NaN where the model cannot command a pose or the true mechanism cannot reach it.
+    With more legs than freedoms the true pose is the one of least gaps (see ``forward``).
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite.
+        MechanismError: poses have a wrong shape, or are not finite.
     """
     platform = model.platform
     plan = poses if isinstance(poses, Plan) else Plan(platform.coordinates_of(poses))
@@ -233,13 +231,13 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> 
 
 
 def accuracy(model: GivenMechanism, truth: GivenMechanism, poses: Plan | Poses) -> Accuracy:
-    """Return how far the truth goes from poses, (N, dof), [m] and [rad], that a model commands.
+    """Return the accuracy of the truth at poses, (N, dof), [m] and [rad], that a model commands.
 
-    Root mean squares are the papers' RMSE of commanded against measured pose, without measuring
+    Root mean squares are the papers' RMSE of commanded against measured pose, without measurement
     noise.
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite.
+        MechanismError: poses have a wrong shape, or are not finite.
     """
     model, truth = as_mechanism(model), as_mechanism(truth)
     errors = sizes(model.platform.units, platform_errors(model, truth, poses))

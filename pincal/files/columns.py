@@ -1,4 +1,4 @@
-"""Which columns of a table mean what to a mechanism: read however they are spelt, and written."""
+"""Columns of a mechanism's tables: their meaning, spellings that are read, and writing them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pincal.words.numbers import COUNTS, SI, UNITS, Units
 from pincal.words.wording import NAMED
 
 Columns = dict[str, Array | tuple[str, ...]]
-_NEAR = 0.66  # likeness of a column's name and one that means something, as of tx and x
+_NEAR = 0.66  # least likeness of an unknown column to a known one that is suggested, as tx to x
 _log = logging.getLogger(__name__)
 
 
@@ -35,9 +35,9 @@ def table_of(
     known: Mapping[str, str],
     wanted_influences: Collection[str] | None = (),
 ) -> TextTable:
-    """Return a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
+    """Read a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
 
-    That is logged, as are columns that are not known but for wanted influences (None: any column).
+    Log columns read under other names, and unknown ones but for wanted influences (None: all).
     """
     counts = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
     counts |= {f"sigma_{name}": per_unit for name, per_unit in counts.items()}
@@ -59,13 +59,13 @@ def table_of(
 
 
 def _meant_perhaps(name: str, missing: Sequence[str]) -> str:
-    """Return the name of a column, and that of a missing one that it may mean."""
+    """Return a column's name, with a question whether it means a missing column of like name."""
     near = get_close_matches(name, missing, 1, _NEAR)
     return (name if name.isprintable() else ascii(name)) + "".join(f" (is it {n}?)" for n in near)
 
 
 def unknown_columns(table: TextTable, known: Collection[str]) -> list[str]:
-    """Return the columns of a table without a meaning, but for those that sheets plan by."""
+    """Return the columns of a table without a meaning, except planned values of a sheet."""
     return [
         name
         for name in table.units
@@ -74,7 +74,7 @@ def unknown_columns(table: TextTable, known: Collection[str]) -> list[str]:
 
 
 def known_columns(mechanism: Mechanism, further: Mapping[str, str]) -> dict[str, str]:
-    """Return the columns that mean something, with their units; empty for names."""
+    """Return the columns that have a meaning, with their units; columns of names have none."""
     platform = mechanism.platform
     units = dict(zip(platform.freedoms, platform.units, strict=True))
     units |= dict(zip(platform.coordinates, platform.units, strict=True))
@@ -91,7 +91,7 @@ def reading_units(mechanism: Mechanism) -> dict[str, str]:
 
 
 def _headers_meant(table: TextTable, units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Return name and unit of columns whose headers say them in other case, or otherwise."""
+    """Return name and unit of columns whose headers differ in case or form from ``name [unit]``."""
     meant: dict[str, tuple[str, str]] = {}
     for column, bracketed in table.units.items():
         behind = {
@@ -117,7 +117,7 @@ def _headers_meant(table: TextTable, units: Mapping[str, str]) -> dict[str, tupl
 def _unit_behind(column: str, name: str, dimension: str) -> str | None:
     """Return the unit behind a name as in ``x (mm)``, ``x_mm``, ``x/mm``.
 
-    It is empty where there is nothing or another unit in brackets, None if the column is another.
+    It is empty if nothing or an unknown unit in brackets follows, None if the name is another.
     """
     if not column.lower().startswith(name.lower()):
         return None
@@ -148,7 +148,7 @@ def dataframe_of(plan: Plan, mechanism: GivenMechanism, **ways: Any) -> Any:
 
 
 def reason_column(reasons: Sequence[str]) -> Columns:
-    """Return the column that says why rows are empty; none if no row is."""
+    """Return a column with the reasons of empty rows; no column if no row is empty."""
     return {"reason": tuple(reasons)} if any(reasons) else {}
 
 
@@ -158,16 +158,16 @@ def columns_of(
     orientation: str = "tilt-torsion",
     setup: Setup | None = None,
 ) -> Columns:
-    """Return the columns of a plan or of measurements, header with unit to values, SI.
+    """Return the columns of a plan or of measurements: header with SI unit to values.
 
-    Orientations in space are written in a way of ``WAYS``; a setup says units of further columns.
+    Orientations in space are written in one of ``WAYS``; the setup has units of further columns.
     """
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses or measurements to write", MeasurementError)
     measured = isinstance(plan, Measurements)
     columns: Columns = {} if plan.sets is None else {"set": plan.sets}
     for header, values in _pose_columns(mechanism, plan, orientation).items():
-        if not measured or np.isfinite(values).any():  # what was never measured has no column
+        if not measured or np.isfinite(values).any():  # quantities never measured have no column
             columns[header] = values
     if plan.readings is not None:
         columns |= reading_columns(mechanism, plan.readings)
@@ -196,7 +196,7 @@ def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> dict[st
 
 
 def reading_columns(mechanism: GivenMechanism, readings: Array, prefix: str = "") -> Columns:
-    """Return the columns of readings, shape (N, n_readings), header with unit to values, SI."""
+    """Return the columns of readings, shape (N, n_readings): header with SI unit to values."""
     mechanism = as_mechanism(mechanism)
     names, units = mechanism.reading_names, mechanism.reading_units
     values = array_of(readings, ("N", len(names)), "readings", MeasurementError)
@@ -204,7 +204,7 @@ def reading_columns(mechanism: GivenMechanism, readings: Array, prefix: str = ""
 
 
 def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | None) -> Columns:
-    """Return the columns that measurements have besides poses and readings."""
+    """Return the columns of standard deviations, further quantities and runs."""
     freedoms = dict(zip(mechanism.platform.freedoms, mechanism.platform.units, strict=True))
     units = setup.columns(mechanism) if setup else {}
     columns: Columns = {}
@@ -225,18 +225,18 @@ def sheet_columns(
     setup: Setup | None = None,
     units: Units = SI,
 ) -> Columns:
-    """Return the columns of a measuring sheet: what to drive to, and empty cells to fill in.
+    """Return the columns of a measuring sheet: planned values, and empty cells to fill in.
 
     Args:
         mechanism: The mechanism.
-        plan: Poses, with the readings that they have.
-        measured: What is measured: freedoms of the platform, columns of the setup; the pose if not
-            given.
-        setup: Says which further columns there are.
-        units: Of all columns; mm and degrees where nothing else is said.
+        plan: Poses with their readings.
+        measured: Measured quantities: freedoms of the platform, columns of the setup; the pose by
+            default.
+        setup: Setup with further columns.
+        units: Units of all columns; mm and degrees by default.
 
     Raises:
-        MeasurementError: a plan without readings.
+        MeasurementError: the plan has no readings.
     """
     if plan.readings is None:
         raise MeasurementError(f"a sheet for {mechanism.name!r} needs the readings of its plan")
@@ -258,7 +258,7 @@ def sheet_columns(
 def _measured_heads(
     mechanism: Mechanism, poses: Sequence[str], names: Collection[str], setup: Setup
 ) -> list[str]:
-    """Return the headers of what is measured, by those of poses, and names; not of contacts."""
+    """Return the headers of measured quantities, without contacts; ``poses`` are pose headers."""
     platform = mechanism.platform
     lengths = poses[: platform.lengths]
     heads = [head for head in lengths if head.partition(" ")[0] in names]

@@ -1,10 +1,10 @@
-"""Tables beside the measurements: what rows were measured from each other, corners of photographs.
+"""Tables beside the measurements: distances between rows, and corners in photographs.
 
-The distance between where the platform stood in rows 3 and 17, by calliper on plotted marks or by
-tape, stands in row 17 in ``distance_1 [mm]``, and 3 in ``distance_1_to``; of another row in
-``distance_2`` and ``distance_2_to``. A table of pairs, ``row a, row b, distance [mm]``, becomes
-such columns. Columns ``dx``, ``dy``, ``dz`` are coordinates of b less those of a: heights of steps.
-Corners stand one a line, in a table of their own.
+A distance between the platform's places in rows 3 and 17, by calliper on plotted marks or by tape,
+is written in row 17: its value in ``distance_1 [mm]``, and 3 in ``distance_1_to``; a distance to
+another row in ``distance_2`` and ``distance_2_to``. A table of pairs, ``row a, row b, distance
+[mm]``, is converted to such columns. Columns ``dx``, ``dy``, ``dz`` are coordinates of b minus a,
+such as heights of steps. Corners have a table of their own, one per line.
 """
 
 from __future__ import annotations
@@ -34,18 +34,17 @@ _KINDS = ("distance", "dx", "dy", "dz")
 _LEADS = re.compile(rf"(distance|d[xyz])(_\w+)?{TO}")
 _ENDS = ("row a", "row b")
 Pairs = Mapping[tuple[str, str], tuple[str, str]]
-"""Columns of right and down by the names of camera and point."""
+"""Columns of u (right) and v (down) by names of camera and point."""
 Pixels = dict[str, Array]
 
 
 def related_columns(table: TextTable) -> tuple[TextTable, dict[str, str]]:
-    """Return a table that names its rows, and its columns that relate them, with their units.
+    """Return a table with named rows, and the columns that relate rows, with their units.
 
-    Rows that no column ``row`` names are called 1, 2, ….
+    Without a column ``row`` the rows are named 1, 2, ….
 
     Raises:
-        MeasurementError: a row that is named twice or not at all, or a column that names no other
-            row.
+        MeasurementError: a row has no name or another row's, or a cell names no other row.
     """
     columns = [name.removesuffix(TO) for name in table.units if _LEADS.fullmatch(name)]
     if not columns:
@@ -67,14 +66,14 @@ def related_columns(table: TextTable) -> tuple[TextTable, dict[str, str]]:
 
 
 def _named(table: TextTable) -> TextTable:
-    """Return a table whose column ``row`` names its rows: 1, 2, … if it does not."""
+    """Return a table with a column ``row`` of names, 1, 2, … if it has none."""
     numbers = [str(1 + row) for row in range(len(table.lines))]
     units, text = {ROW: None, **table.units}, {ROW: numbers, **table.text}
     return replace(table, units=units, text=text)
 
 
 def with_pairs(measurements: Any, pairs: Any) -> TextTable:
-    """Return a table of measurements with columns of the distances that a table of pairs has.
+    """Return a table of measurements with additional columns for a table of distances.
 
     Args:
         measurements: Table of rows, with a column ``row`` of their names, or numbered 1, 2, ….
@@ -82,8 +81,8 @@ def with_pairs(measurements: Any, pairs: Any) -> TextTable:
             ``dx [mm]``, ``dy [mm]``, ``dz [mm]`` (of b less a), and ``sigma [mm]`` if known.
 
     Raises:
-        MeasurementError: a column or number that is missing, a row that does not exist, a pair that
-            was typed twice.
+        MeasurementError: a column or number is missing, a row does not exist, or a pair was typed
+            twice.
     """
     table, typed = _named(read_table(measurements)), read_table(pairs)
     place = {name: row for row, name in enumerate(table.text[ROW])}
@@ -106,9 +105,9 @@ def with_pairs(measurements: Any, pairs: Any) -> TextTable:
 def _pairs(
     table: TextTable, names: Collection[str], measured: Path
 ) -> Iterator[tuple[str, str, str, float, float | None]]:
-    """Yield rows a and b, the kind of what is measured between them, it, [m], and its σ if known.
+    """Yield rows a and b, the kind of distance between them, its value, [m], and its σ or None.
 
-    Rows of names are those of the file ``measured``.
+    ``names`` are the rows of the file ``measured``.
     """
     values = {kind: table.numbers(kind, "m", blank=True) for kind in _KINDS if kind in table}
     if missing := [end for end in (*_ENDS, *_KINDS[: not values]) if end not in table]:
@@ -139,7 +138,7 @@ def _pairs(
 
 
 def _ends(table: TextTable, names: Collection[str], measured: Path) -> Iterator[tuple[str, str]]:
-    """Yield rows a and b of each line."""
+    """Yield the names of rows a and b for each line."""
     for line, (a, b) in enumerate(zip(*(table.text[end] for end in _ENDS), strict=True)):
         if a == b or not {a, b} <= {*names}:
             strange = b if a in names else a
@@ -152,14 +151,14 @@ def _ends(table: TextTable, names: Collection[str], measured: Path) -> Iterator[
 
 
 def read_corners(setup: Setup, table: TextTable, lines: Sequence[int]) -> tuple[Pixels, Pixels]:
-    """Return pixels, and their standard deviations if said, of a setup's table of corners.
+    """Read a setup's table of corners: pixels, and their standard deviations if given, by column.
 
-    By column, for the rows of the measurements on these lines; NaN where nothing was seen. Both
-    empty without such a table.
+    Values are for the rows of measurements on ``lines``, NaN where no point was seen. Both are
+    empty if the setup has no such table.
 
     Raises:
         FileError: the table is missing or cannot be read.
-        MeasurementError: a row, camera or point that there is not, or a corner that is there twice.
+        MeasurementError: a row, camera or point is unknown, or a corner appears twice.
     """
     if setup.corners is None:
         return {}, {}
@@ -180,7 +179,7 @@ def read_corners(setup: Setup, table: TextTable, lines: Sequence[int]) -> tuple[
     columns = np.array([[*map(every.index, pairs[names[i]])] for i in np.flatnonzero(used)])
 
     def by_column(*quantities: str) -> Pixels:
-        """Return numbers of u and v by the columns of their cameras."""
+        """Return quantities for u and v by column of the measurements."""
         spread = np.full((len(lines), len(every)), np.nan)
         for quantity, places in zip(quantities, columns.reshape(-1, 2).T, strict=True):
             spread[np.array(rows)[used], places] = corners.numbers(quantity, "px")[used]
@@ -194,7 +193,7 @@ def corners_of(setup: Setup, data: Measurements) -> Columns:
     """Return the table of corners that a setup's cameras saw, as ``read_corners`` reads it.
 
     Raises:
-        MeasurementError: they saw none.
+        MeasurementError: the cameras saw no corner.
     """
     corners = [
         (row, device.name, point, *(float(data.extra[column][row]) for column in pair))
@@ -210,7 +209,7 @@ def corners_of(setup: Setup, data: Measurements) -> Columns:
 
 
 def _cameras_and_points(corners: TextTable, pairs: Pairs) -> list[tuple[str, str]]:
-    """Return camera and point of each corner; of a point that only one camera may see, it is it."""
+    """Return camera and point of each corner; a table without cameras must not need them."""
     points, cameras = corners.text["point"], corners.text.get("camera")
     if cameras is None:
         of_point = {point: camera for camera, point in pairs}
@@ -245,7 +244,7 @@ def _check_repeats(corners: TextTable, names: Sequence[tuple[int, tuple[str, str
 
 
 def _rows(corners: TextTable, table: TextTable) -> list[int]:
-    """Return the row of the measurements to which each corner belongs, counted from 0."""
+    """Return the row of the measurements, counted from 0, for each corner."""
     if "row" in corners:
         numbers = corners.plain("row")
         strange = ~np.isin(numbers, np.arange(1, len(table.lines) + 1))

@@ -1,7 +1,7 @@
-"""Tables on disk that grow by whole rows: a kill at any moment leaves one state or the next.
+"""Tables on disk that grow by whole rows: a kill at any moment leaves the old or the new state.
 
-Rows are synchronised with the disk before anybody sees them. A line without an end was seen by
-nobody, and is cut off when the table is read again.
+Rows are synchronised with the disk before they are reported. A line without an end was never
+reported, and is cut off when the table is read again.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pincal.errors import FileError, MeasurementError, PincalError, explaining
 Row = dict[str, Any]
 Columns = dict[str, NDArray[Any]]
 FAILURE = "failure"
-"""Column that says why a row has no numbers."""
+"""Column with the reason why a row has no numbers."""
 TEXTS = {"file", "sha256", "parameter", "verdict", FAILURE}
 """Columns of a table that hold no numbers."""
 _OTHER_COLUMNS = "it has other columns than it should"
@@ -36,7 +36,7 @@ class RowFile:
         self.path, self.columns, self._lines = path, list(columns), list[Sequence[Any]]()
 
     def read(self) -> Columns:
-        """Return all columns, shape (N,) each.
+        """Return all columns, each of shape (N,).
 
         Raises:
             FileError: the file has other columns, or cannot be read.
@@ -58,10 +58,10 @@ class RowFile:
             raise FileError(f"{self.path}: {error}; move it away, or name another") from error
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Add rows; a file of Parquet is there whole, or not at all.
+        """Add rows; a Parquet file is written whole or not at all.
 
         Raises:
-            FileError: they cannot be written.
+            FileError: the rows cannot be written.
         """
         blank = {name: "" if name in TEXTS else np.nan for name in self.columns}
         lines = [[row.get(name, cell) for name, cell in blank.items()] for row in rows]
@@ -81,10 +81,10 @@ class RowFile:
 
 
 def extra(name: str) -> Any:
-    """Return a package of the extra ``cluster``.
+    """Import and return a package of the extra ``cluster``.
 
     Raises:
-        PincalError: it is not installed.
+        PincalError: the package is not installed.
     """
     try:
         return import_module(name)
@@ -96,13 +96,13 @@ def extra(name: str) -> Any:
 
 
 class Journal:
-    """The rows of a session's folder, which one process holds until it closes it.
+    """The rows of a session's folder, which a process locks until it closes the journal.
 
-    What is undone goes to ``undone.csv`` first.
+    Rows are copied to ``undone.csv`` before they are undone.
     """
 
     def __init__(self, folder: Path, columns: Sequence[str]) -> None:
-        """Open the folder, made if there is none.
+        """Open the folder; create it if there is none.
 
         Raises:
             FileError: another process has it open, it cannot be written, or has other columns.
@@ -131,15 +131,15 @@ class Journal:
                 ) from error
 
     def close(self) -> None:
-        """Let other processes open the folder."""
+        """Release the folder for other processes."""
         os.close(self._lock)
 
     def append(self, cells: Mapping[str, str]) -> None:
-        """Write a row, cells by column; it is on disk when this returns, or not recorded.
+        """Write a row, cells by column; when this returns it is on the disk.
 
         Raises:
-            FileError: it cannot be written, as on a full disk.
-            MeasurementError: a cell with a line break.
+            FileError: the row cannot be written, as on a full disk; it is not recorded.
+            MeasurementError: a cell has characters that cannot be printed, such as a line break.
         """
         row = [cells.get(column, "").strip() for column in self.columns]
         if any(not cell.isprintable() for cell in row):
@@ -149,10 +149,10 @@ class Journal:
         self.rows.append(row)
 
     def undo(self, row: int) -> None:
-        """Take a row back, after a copy is on disk in ``undone.csv``.
+        """Remove a row, after a copy of it is on the disk in ``undone.csv``.
 
         Raises:
-            FileError: it cannot be written, as on a full disk.
+            FileError: the files cannot be written, as on a full disk.
             MeasurementError: there is no such row.
         """
         if not 0 <= row < len(self.rows):
@@ -169,11 +169,11 @@ class Journal:
 
 
 def read_lines(path: Path, columns: Sequence[str]) -> list[list[str]]:
-    """Return the rows of a table that ``append_lines`` wrote, none if there is none.
+    """Return the rows of a table that ``append_lines`` wrote; no rows if there is no file.
 
     Raises:
-        ValueError: it has not these columns, and is left as it is.
-        OSError: it cannot be read.
+        ValueError: the table has other columns; it is not changed.
+        OSError: the table cannot be read.
     """
     if not path.exists():
         return []
@@ -188,10 +188,10 @@ def read_lines(path: Path, columns: Sequence[str]) -> list[list[str]]:
 
 
 def append_lines(path: Path, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Add rows to a table, below its columns if it is new: on the disk, or none of them.
+    """Append rows to a table, after the heads of its columns if it is new: all rows or none.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the table cannot be written.
     """
     before = path.exists()
     size = path.stat().st_size if before else 0

@@ -1,6 +1,6 @@
-"""Poses, readings and measurements that belong to a mechanism, read from tables.
+"""Poses, readings and measurements of a mechanism, read from tables.
 
-What people hand over is an object, or the name, file or DataFrame that it is read from.
+Functions accept the object itself, or a file or DataFrame to read it from.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from pincal.words.numbers import amount
 
 _log = logging.getLogger(__name__)
 _TURNS = {name for names, _ in WAYS.values() for name in names}
-_MATTERS = 1.0  # of what points miss their plane by: less that they are shortened is noise
+_MATTERS = 1.0  # shortening by a tilt, over the RMS distance of points from their plane, to correct
 
 
 def as_noise(noise: Noise | None) -> Noise:
-    """Return the noise that is given; without one, the default."""
+    """Return the given noise, or the default noise for None."""
     if noise is None:
         return Noise()
     return must_be(noise, (Noise,), "noise, pincal.Noise(…)", MeasurementError)
@@ -48,7 +48,7 @@ def as_noise(noise: Noise | None) -> Noise:
 def read_poses(
     source: Any, mechanism: GivenMechanism, *, partial: bool = False, setup: Setup | None = None
 ) -> Plan:
-    """Return a plan that is given as such, as poses, or by a table: see ``Plan.from_csv``.
+    """Return a plan given as a plan, as poses, or as a table: see ``Plan.from_csv``.
 
     Poses are coordinates of shape (N, dof), or a ``RigidTransform``. A setup says which columns
     have names of points that are touched.
@@ -80,9 +80,9 @@ def read_poses(
 
 
 def read_readings(source: Any, mechanism: GivenMechanism) -> tuple[Array, dict[str, Array]]:
-    """Return the readings of a table, shape (N, n_readings), and columns that terms depend on.
+    """Return the readings of a table, shape (N, n_readings), and the columns that terms depend on.
 
-    Rows without readings are NaN, as 'pincal inverse' writes those of poses out of reach.
+    Rows without readings, which 'pincal inverse' writes for poses out of reach, are NaN.
     """
     mechanism = as_mechanism(mechanism)
     table = table_of(source, mechanism, known_columns(mechanism, {}))
@@ -101,10 +101,10 @@ def read_measurements(
     influences: Collection[str] | None = (),
     pairs: Any = None,
 ) -> Measurements:
-    """Return measurements that are given as such or by a table: see ``Measurements.from_csv``.
+    """Return measurements given as such or as a table: see ``Measurements.from_csv``.
 
-    ``influences`` are further columns to read, on which no term depends yet; None for all columns
-    of numbers that differ. ``pairs`` is a table of distances: see ``with_pairs``.
+    ``influences`` are further columns to read, on which no term depends yet; None reads all
+    columns of varying numbers. ``pairs`` is a table of distances: see ``with_pairs``.
     """
     mechanism, setup = as_mechanism(mechanism), setup or Setup()
     setup = setup if isinstance(setup, Setup) else Setup.from_yaml(setup)
@@ -147,13 +147,13 @@ def read_measurements(
         lines=table.file_lines,
         written=way,
     )
-    return data.rows(np.arange(len(data)))  # which are related to none that was skipped
+    return data.rows(np.arange(len(data)))  # drops relations to rows that were skipped
 
 
 def _related(source: Any, setup: Setup, pairs: Any) -> tuple[TextTable, Setup, tuple[str, ...]]:
-    """Return a table, its setup with what rows were measured from each other, and names' columns.
+    """Return a table, its setup with distances between rows, and the columns that hold names.
 
-    In these stands what a row touches, or from which other row it was measured.
+    These columns name the point that a row touches, or the other row of a distance.
     """
     if not (is_dataframe(source) or isinstance(source, TextTable)):
         expected = "Measurements, a CSV file or a DataFrame"
@@ -167,7 +167,7 @@ def _related(source: Any, setup: Setup, pairs: Any) -> tuple[TextTable, Setup, t
 def _check_columns(
     table: TextTable, mechanism: Mechanism, setup: Setup, further: Mapping[str, str]
 ) -> None:
-    """Raise if a column is missing that terms or the setup need, or one needs another setup."""
+    """Raise if a column is missing that terms or the setup need."""
     needed = {
         name: "on which terms of sensors depend; add it, or leave these terms out of the mechanism"
         for name in mechanism.influences
@@ -182,14 +182,14 @@ def _check_columns(
 
 
 def _way(table: TextTable, mechanism: Mechanism) -> str | None:
-    """Return the way in which a table gives orientations in space in full, if it does."""
+    """Return the one of ``WAYS`` in which a table gives orientations in space, or None."""
     if mechanism.platform.turns < 3:
         return None
     ways = [way for way, (names, _) in WAYS.items() if all(name in table for name in names)]
     if len(ways) > 1:
         columns = " and ".join(", ".join(WAYS[way][0]) for way in ways)
         raise MeasurementError(
-            f"{table.path}: the orientation is said in {len(ways)} ways, {columns}; leave one of "
+            f"{table.path}: the orientation is given in {len(ways)} ways, {columns}; keep one of "
             "them"
         )
     for names, _ in () if ways else WAYS.values():
@@ -203,7 +203,7 @@ def _way(table: TextTable, mechanism: Mechanism) -> str | None:
 
 
 def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
-    """Return poses, NaN where they may be partial and are; orientations in any of the ways."""
+    """Return poses, whose orientations are in any of ``WAYS``; NaN for missing cells if partial."""
     platform, way = mechanism.platform, _way(table, mechanism)
     units = dict(zip(platform.coordinates, platform.units, strict=True))
     if way not in (None, "tilt-torsion"):
@@ -212,8 +212,8 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
     if not partial and missing and len(missing) < len(units):
         raise MeasurementError(
             f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} "
-            f"[{units[missing[0]]}]'; what was measured in part is for 'pincal calibrate', by all "
-            f"legs at once. The file has {', '.join(table.units)}"
+            f"[{units[missing[0]]}]'; only 'pincal calibrate' takes partly measured poses. "
+            f"The file has {', '.join(table.units)}"
         )
     poses = table.array(units, blank=partial, optional=partial)
     if way is None:
@@ -232,10 +232,10 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
 
 
 def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
-    """Return poses of a planar machine, (N, dof), whose plane is turned into x-y the shortest way.
+    """Return poses of a planar machine, (N, dof), after turning their plane into x-y.
 
-    A tracker that is not level sees a plane that is tilted: x and y alone would be too short across
-    the tilt, and no residual would show it. It is turned where that is more than noise.
+    A tracker that is not level measures a tilted plane: x and y alone are too short across the
+    tilt, and no residual shows it. The plane is turned if the shortening is larger than noise.
     """
     points = np.column_stack((poses[:, :2], table.numbers("z", "m", blank=True)))
     known = np.isfinite(points).all(axis=1)
@@ -258,46 +258,46 @@ def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
     fault, lacking = "", ~known & np.isfinite(poses[:, :2]).any(axis=1)
     if not setup.unknown_frame:
         fault = (
-            "Say that the base is elsewhere in their frame (--unknown-frame), and they are turned "
-            "into their plane; or give them in the base frame"
+            "Declare their frame unknown (--unknown-frame), so that they can be turned into x-y; "
+            "or give them in the base frame"
         )
     elif np.isfinite(poses[:, 2:]).any() or len(setup.targets) > 1 or setup.distances:
         fault = (
-            "Of orientations, further targets and distances it is not known how they lie in that "
-            "plane: turn all of them into it, or leave them out"
+            "Orientations, further targets and distances cannot be turned with them: turn all of "
+            "them into x-y yourself, or leave them out"
         )
     elif lacking.any():
         fault = f"{table.where(int(np.argmax(lacking)))}: no z; all positions need it"
     if fault:
         raise MeasurementError(f"{tilted}. {fault}")
-    _log.info("%s; they were turned into their plane", tilted)
+    _log.info("%s; they were turned into x-y", tilted)
     R = Rotation.align_vectors((0.0, 0.0, 1.0), normal)[0]
     turned = R.apply(points - middle) + middle
     return np.column_stack((turned[:, :2], poses[:, 2:]))
 
 
 def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
-    """Return a column of names, or None where there is none."""
+    """Return a column of names, or None if the table does not have it."""
     if column not in table:
         return None
     for row, name in enumerate(table.text[column]):
         if not name.isprintable():
             raise MeasurementError(
                 f"{table.where(row)}: {column} {name!r} has characters that cannot be "
-                "printed; name it otherwise"
+                "printed; rename it"
             )
         if column == "run" and not name:
-            raise MeasurementError(f"{table.where(row)}: no run; name it in every row")
+            raise MeasurementError(f"{table.where(row)}: no run; give each row the name of its run")
     return tuple(table.text[column])
 
 
 def _contacts(table: TextTable, columns: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Return the columns of names that a table has, of those that name what rows meet."""
+    """Return those of some columns of names, for contacts and distances, that a table has."""
     return {name: _names(table, name) or () for name in columns if name in table}
 
 
 def _sets(table: TextTable, mechanism: Mechanism) -> tuple[str, ...] | None:
-    """Return the legs for which poses were chosen, or None where that is not said."""
+    """Return the column ``set``, legs for which poses were chosen, or None if there is none."""
     known, sets = {*mechanism.leg_names, EVERY_LEG, ""}, _names(table, "set")
     for row, name in enumerate(sets or ()):
         if name not in (*known, VERIFY) and not known.issuperset(name.split("+")):
@@ -309,7 +309,7 @@ def _sets(table: TextTable, mechanism: Mechanism) -> tuple[str, ...] | None:
 
 
 def _influences(table: TextTable, mechanism: Mechanism) -> dict[str, Array]:
-    """Return the columns on which terms depend, numbers as they stand."""
+    """Return the columns on which terms depend, numbers without units."""
     names = (*mechanism.influences, *sorted(mechanism.followed - set(mechanism.influences)))
     return {name: table.plain(name, blank=True) for name in names if name in table}
 
@@ -317,11 +317,11 @@ def _influences(table: TextTable, mechanism: Mechanism) -> dict[str, Array]:
 def _further_influences(
     table: TextTable, columns: Iterable[str], names: Collection[str] | None
 ) -> dict[str, Array]:
-    """Return further columns of a table, those that are named, or all of numbers that differ."""
+    """Return further columns of a table: the named ones, or for None all of varying numbers."""
     if names is not None:
         if missing := [name for name in names if name not in table]:
             raise MeasurementError(
-                f"{table.path}: no column {missing[0]!r}, on which terms are to depend. The file "
+                f"{table.path}: no column {missing[0]!r} for terms to depend on. The file "
                 f"has {', '.join(table.units)}"
             )
         return {name: table.plain(name, blank=True) for name in names}
@@ -333,16 +333,16 @@ def _further_influences(
             numbers[name] = values
         elif known.any() and not known.all():
             cell = table.where(int(np.argmin(known)))
-            _log.info("%s: no number, so no term is tried with column %r", cell, name)
+            _log.info("%s: not a number, so no term is tried with column %r", cell, name)
     return numbers
 
 
 def _quantities(
     table: TextTable, units: Mapping[str, str], pixels: Collection[str], *, partial: bool
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return what was measured besides poses and readings, and its standard deviations, by column.
+    """Return further measured quantities and their standard deviations, by column.
 
-    Pixels may be in a table of their own; all may be missing from what was measured in part.
+    Columns of pixels may be missing, as they may be in a table of corners; so may all if partial.
     """
     read = [name for name in units if name in table or not (partial or name in pixels)]
     values = {name: table.numbers(name, units[name], blank=True) for name in read}
@@ -352,7 +352,7 @@ def _quantities(
 
 
 def _sigmas(table: TextTable, units: Mapping[str, str], *, partial: bool = False) -> Array | None:
-    """Return the ``sigma_…`` columns, (N, n), NaN where one is missing; None if all are."""
+    """Return the ``sigma_…`` columns, (N, n), NaN for missing ones; None if all are missing."""
     headers = {f"sigma_{name}": unit for name, unit in units.items()}
     if not any(header in table for header in headers):
         return None

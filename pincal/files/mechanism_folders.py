@@ -18,7 +18,7 @@ from pincal.model.mechanism import Mechanism
 
 _log = logging.getLogger(__name__)
 MECHANISM_FILES = (YAML, "*.urdf")
-"""Files of a mechanism folder that are replaced together; by the first pincal knows its own."""
+"""Files of a mechanism folder that are replaced together; the first identifies such a folder."""
 
 
 def bundled() -> dict[str, Path]:
@@ -31,11 +31,11 @@ def bundled() -> dict[str, Path]:
 
 
 def load_mechanism(name_or_path: str | Path) -> Mechanism:
-    """Return a mechanism by ``name_or_path``: a bundled name, ``"3RRR"``, its or a result's folder.
+    """Return the mechanism of a bundled name, such as ``"3RRR"``, its folder or a result's folder.
 
     Raises:
-        FileError: no such folder, or a file in it is missing.
-        MechanismError: a file that does not say what it should; the message names the place.
+        FileError: there is no such folder, or a file in it is missing.
+        MechanismError: a file has wrong contents; the message names the place.
     """
     folder = _folder(name_or_path)
     return _read_once(folder) if folder in bundled().values() else _read(folder)
@@ -56,7 +56,7 @@ def mechanism_files(name_or_path: str | Path) -> list[Path]:
 
 
 def _folder(name_or_path: str | Path) -> Path:
-    """Return the folder of a mechanism."""
+    """Return the folder of a mechanism by its name or path; in a result, the one inside."""
     expected = "a mechanism's name or folder"
     folder = Path(must_be(name_or_path, (str, Path), expected, MechanismError))
     name, folders = str(name_or_path), bundled()
@@ -106,7 +106,7 @@ def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = Fa
 
 
 class Calibrated(Protocol):
-    """What holds a calibrated mechanism, such as a ``CalibrationResult``."""
+    """An object with a calibrated mechanism, such as a ``CalibrationResult``."""
 
     @property
     def identified(self) -> Mechanism:
@@ -114,7 +114,7 @@ class Calibrated(Protocol):
 
     @property
     def converged(self) -> bool:
-        """Whether it is one."""
+        """Whether the fit converged, so that there is a calibrated mechanism."""
 
 
 GivenMechanism = Mechanism | str | Path | Calibrated
@@ -122,7 +122,7 @@ GivenMechanism = Mechanism | str | Path | Calibrated
 
 
 def as_mechanism(source: GivenMechanism) -> Mechanism:
-    """Return a mechanism that is given as such, by its bundled name, folder, or calibration."""
+    """Return a mechanism given as such, or by its bundled name, its folder, or a calibration."""
     if isinstance(source, Mechanism):
         return source
     if isinstance(identified := getattr(source, "identified", None), Mechanism):

@@ -1,7 +1,7 @@
-"""What ``mechanism.yaml`` says of a mechanism: its keys, as they are read and as they are written.
+"""Reading and writing of ``mechanism.yaml``, which describes a mechanism.
 
-Keys that are not known are refused by name and line. URDFs beside the file say how joints hang
-together.
+Unknown keys are refused by name and line. URDFs beside the file define the joints of legs and
+the points of the platform.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from pincal.model.terms import Cables, Harmonic, Load, Power, Share, Term
 
 FORMAT = 1
 YAML = "mechanism.yaml"
-#: Forms of terms by the key that names each, with the further keys that belong to it.
+#: Forms of terms by the key that names them, with the further keys of each form.
 _FORMS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "sine": (Harmonic, ("period",)),
     "cosine": (Harmonic, ("period",)),
     "power": (Power, ("range", "centre")),
     "per": (Share, ("reference",)),
 }
-_BLOCKS = ("parameters", "labels", "load")  # mappings of which each key has a line of its own
+_BLOCKS = ("parameters", "labels", "load")  # mappings written with one line per key
 
 
 def _term(entry: Entry, amplitude: str, place: str) -> Term:
-    """Return a term with the name of its amplitude; messages say its place."""
+    """Read a term with the name of its amplitude; ``place`` is for messages."""
     numbers = dict.fromkeys((*_FORMS, "period", "range", "centre", "reference"), Entry.number)
     values = entry.values({**numbers, "of": Entry.text, "power": lambda part: part.value})
     influence = values.pop("of", "")
@@ -51,7 +51,7 @@ def _term(entry: Entry, amplitude: str, place: str) -> Term:
     kind, further = _FORMS.get(form, (None, ()))
     odd = [key for key in values if key not in (form, *further)]
     if kind is None:
-        fault = f"expected one of {', '.join(_FORMS)}, or of alone; got {form}"
+        fault = f"expected one of {', '.join(_FORMS)}, or 'of' alone; got {form}"
     elif odd:
         fault = f"{odd[0]!r} does not go with {form!r}; expected {', '.join(further)}"
     elif form == "power" and "range" not in values:
@@ -77,7 +77,7 @@ def _zero(entry: Entry) -> float | Literal["home"]:
 
 
 def _coordinates(entry: Entry | None, place: str) -> tuple[Coordinate, ...]:
-    """Return the coordinates that place a joint, none if it is placed by its URDF alone."""
+    """Read the coordinates that place a joint; empty if its URDF alone places it."""
     coordinates = []
     for item in entry.items() if entry else ():
         if len(pairs := item.pairs()) != 1:
@@ -109,7 +109,7 @@ def _drawn(entry: Entry) -> tuple[tuple[str, float], ...]:
 
 
 def read_mechanism(folder: Path) -> Mechanism:
-    """Return what a folder's ``mechanism.yaml`` and the URDFs that it names say together."""
+    """Read a mechanism from a folder's ``mechanism.yaml`` and the URDFs that it names."""
     needed = ("pincal", "name", "platform", "legs")
     known = ("description", "labels", "load", "cables")
     keys = read_yaml(inside(folder, YAML), MechanismError).keys(needed, known)
@@ -126,7 +126,7 @@ def read_mechanism(folder: Path) -> Mechanism:
         keys["load"].built(Load, drawn=_drawn) if "load" in keys else None,
         keys["cables"].built(Cables) if "cables" in keys else None,
     )
-    identified = (folder.parent / "result.json").is_file()  # at the nominal home
+    identified = (folder.parent / "result.json").is_file()  # its home is the nominal one
     for leg in () if identified else legs:
         check_home(leg, platform)
     return mechanism
@@ -135,7 +135,7 @@ def read_mechanism(folder: Path) -> Mechanism:
 def _check_joints(
     leg: str, named: Iterable[str], home: Mapping[str, float], joints: Sequence[Joint], urdf: str
 ) -> None:
-    """Raise if a leg names joints that its URDF does not have, or not all that move."""
+    """Raise if a leg names joints that its URDF does not have, or misses a home position."""
     known = [joint.name for joint in joints]
     for name in named:
         if name not in known:
@@ -152,7 +152,7 @@ def _check_joints(
 
 
 def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
-    """Return a leg, of its keys and its URDF."""
+    """Read a leg from its keys and its URDF."""
     needed = ("name", "urdf", "tip", "platform_point", "home", "sensors", "parameters")
     keys = entry.keys((*needed, "placements"), ("closes", "terms", "ends", "ratios"))
     name = keys["name"].name()
@@ -198,7 +198,7 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
 
 
 def _end(entry: Entry, points: Mapping[str, Joint]) -> End:
-    """Return a further end of a leg, which names links of its URDF."""
+    """Read a further end of a leg, which names links of its URDF."""
     readers: Readers = {
         "tip": Entry.text,
         "platform_point": lambda part: points[part.choice(*points)],
@@ -211,13 +211,13 @@ def _end(entry: Entry, points: Mapping[str, Joint]) -> End:
     }
     values = entry.values(readers, ("tip",))
     if ("meets" in values) == ("platform_point" in values):
-        entry.fail("an end has either 'platform_point' or, of a loop within the leg, 'meets'")
+        entry.fail("an end needs either 'platform_point' or, for a loop within the leg, 'meets'")
     meets = values.get("platform_point") or values["meets"]
     return End(values["tip"], meets, values.get("closes", "point"))
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Return a file of the mechanism's folder; paths that lead out of it are refused."""
+    """Return the path of a file in a mechanism's folder; paths that lead out are refused."""
     try:
         inside = (folder / name).resolve().is_relative_to(folder.resolve())
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: links in a circle
@@ -250,7 +250,7 @@ def mechanism_yaml(mechanism: Mechanism) -> str:
 
 
 def _described_leg(leg: Leg) -> dict[str, Any]:
-    """Return the keys of a leg."""
+    """Return the keys of a leg for ``mechanism.yaml``."""
     of_parameters = {
         name: _described_terms((term for owner, term in leg.terms if owner == name), leg.name)
         for name in leg.deformed
@@ -300,14 +300,14 @@ def _filled(keys: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _described_terms(terms: Iterable[Term], place: str) -> dict[str, Any]:
-    """Return the keys of terms by their amplitudes, as ``TermSpec`` reads them."""
+    """Return the keys of terms by their amplitudes, as ``_terms`` reads them."""
     described = {}
     for term in terms:
         if not term.has_form:
             raise MechanismError(
                 f"{place}: the term of {term.parameter!r} is code, which a mechanism's folder "
-                "does not hold; save the mechanism without terms, and its parameters "
-                "(mechanism.parameters)"
+                "cannot hold; save the mechanism without terms, and its parameters "
+                "(mechanism.parameters) apart"
             )
         basis: Any = term.basis
         keys = {
@@ -324,7 +324,7 @@ def _described_terms(terms: Iterable[Term], place: str) -> dict[str, Any]:
 
 
 class _Dumper(yaml.CSafeDumper):
-    """Writes mappings that hold no others on one line, and NumPy's numbers as Python's."""
+    """Dumper that writes innermost mappings on one line, and NumPy's numbers as Python's."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002 - all is written out
         return True

@@ -1,9 +1,9 @@
-"""Files and folders are written whole or not at all, and nothing that was there is lost.
+"""Files and folders are written whole or not at all, and no existing file is lost.
 
-All that belongs together is made complete in new folders beside its places. Then what was there
-becomes ``NAME.bak``, or ``NAME.bak2``, …, as no backup is ever replaced, and what was made is
-moved to its place. A kill at any moment leaves the old, the new, or the old as ``NAME.bak``. In a
-folder only the files that pincal writes are replaced; all others stay.
+Outputs that belong together are completed in temporary folders beside their places. Then existing
+files become ``NAME.bak``, or ``NAME.bak2``, …, as no backup is ever replaced, and the new ones are
+moved to their places. A kill at any moment leaves the old, the new, or the old as ``NAME.bak``. In
+a folder only the files that pincal writes are replaced; all others stay.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _log = logging.getLogger(__name__)
 def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()) -> Path:
     """Return the path, links followed, if a file or a folder may be written there.
 
-    Of a folder, ``folder`` are patterns of what pincal writes in it, first that of the file by
-    which it is known. ``force`` says that what is there may be replaced, but for what the command
-    reads, a folder in a file's place, and what pincal did not write in a folder's.
+    For a folder, ``folder`` has patterns of the files that pincal writes in it, first of the file
+    that identifies it. ``force`` allows to replace existing files, but neither inputs of the
+    command, nor a folder by a file, nor a folder that pincal did not write.
     """
     path = Path(must_be(path, (str, Path), "where to write", FileError))
     if path == Path("-"):
@@ -66,23 +66,23 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
 def refuse_existing_of(
     outputs: Sequence[tuple[str | Path, Sequence[str]]], *, force: bool
 ) -> list[Path]:
-    """Return where outputs, each a path and its ``folder``, may be written."""
+    """Return the real paths of outputs, each a path and its ``folder``, if all may be written."""
     targets = [refuse_existing(path, force=force, folder=folder) for path, folder in outputs]
     for first, second in combinations(targets, 2):
         if first.is_relative_to(second) or second.is_relative_to(first):
             raise FileError(
-                f"{first} and {second} are both written by this command and need places of their "
-                "own; choose another name for one of them"
+                f"this command writes both {first} and {second}, which need places of their own; "
+                "choose another name for one of them"
             )
     return targets
 
 
 @contextmanager
 def writing(path: str | Path, *, force: bool = False, folder: Sequence[str] = ()) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, of an empty folder if ``folder`` is given.
+    """Yield a temporary path beside ``path``, that of an empty folder if ``folder`` is given.
 
-    What is there at the end takes its place; on an error ``path`` stays as it was. Arguments are
-    those of ``refuse_existing``.
+    At the end it is moved to ``path``; on an error ``path`` stays as it was. For the arguments see
+    ``refuse_existing``.
     """
     with writing_together([(path, folder)], force=force) as (made,):
         yield made
@@ -94,11 +94,11 @@ def writing_together(
 ) -> Iterator[list[Path]]:
     """Yield temporary paths for outputs that belong together: all take their places, or none.
 
-    Each is a path with the ``folder`` of ``refuse_existing``, empty for a file. The first appears
-    last: where it is, the others are.
+    Each output is a path with the ``folder`` of ``refuse_existing``, empty for a file. The first
+    output is moved last: if it exists, the others do.
     """
     names = ", ".join(str(path) for path, _ in outputs)
-    shown: dict[str, str] = {}  # what messages call temporary paths
+    shown: dict[str, str] = {}  # names of temporary paths in messages
     try:
         with explaining(f"cannot write {names}"), ExitStack() as scratch:
             targets = refuse_existing_of(outputs, force=force)
@@ -111,7 +111,7 @@ def writing_together(
                 if folder:
                     made[-1].mkdir()
             yield made
-            refuse_existing_of(outputs, force=force)  # another process may have been quicker
+            refuse_existing_of(outputs, force=force)  # another process may have written meanwhile
             for new, target, (_, folder) in zip(made, targets, outputs, strict=True):
                 if target.exists():
                     if folder:
@@ -129,13 +129,13 @@ def _made_in(place: Path, folder: Sequence[str]) -> list[Path]:
 
 
 def _inputs_in(places: list[Path]) -> list[Path]:
-    """Return the files at and below places that the command at work has read."""
+    """Return the files at and below places that the running command has read."""
     below = (file for place in places for file in (place, *place.rglob("*")))
     return [file for file in below if file.is_file() and is_input(file)]
 
 
 def _carry(old: Path, new: Path, folder: Sequence[str]) -> None:
-    """Give a new folder the files of an old one that are not pincal's, links as links."""
+    """Copy the files that pincal did not write from an old folder to a new one, links as links."""
     replaced = _made_in(old, folder)
 
     def not_carried(place: str, names: list[str]) -> list[str]:
@@ -156,7 +156,7 @@ def _carry(old: Path, new: Path, folder: Sequence[str]) -> None:
 
 
 def _copy(source: str, target: str) -> None:
-    """Give a file a second name; a copy where the file system has none."""
+    """Make a hard link to a file, or a copy where the file system has no links."""
     try:
         os.link(source, target, follow_symlinks=False)
     except OSError:
@@ -164,7 +164,7 @@ def _copy(source: str, target: str) -> None:
 
 
 def _move_all(moves: Sequence[tuple[Path, Path]]) -> None:
-    """Move what was made to its places, the first last, and back to what was on an error."""
+    """Move outputs to their places, the first last; restore the old state on an error."""
     with ExitStack() as undo:
         for _, target in moves:
             if os.path.lexists(target):
@@ -178,7 +178,7 @@ def _move_all(moves: Sequence[tuple[Path, Path]]) -> None:
 
 
 def _set_aside(path: Path) -> Path:
-    """Move a file or a folder to the first of NAME.bak, NAME.bak2, … that is free; return that."""
+    """Move a file or folder to the first free name of NAME.bak, NAME.bak2, …, and return it."""
     for number in count(1):
         backup = path.with_name(f"{path.name}.bak{number if number > 1 else ''}")
         with suppress(FileExistsError):
@@ -188,11 +188,11 @@ def _set_aside(path: Path) -> Path:
 
 
 def _move(source: Path, target: Path) -> None:
-    """Move a file or a folder to where nothing is, not even since a moment."""
+    """Move a file or folder; raise FileExistsError if the target exists, even since a moment."""
     if os.path.lexists(target):
         raise FileExistsError(EEXIST, os.strerror(EEXIST), str(target))
     if source.is_dir():
-        source.rename(target)  # an error if a folder with something in it came there meanwhile
+        source.rename(target)  # raises if a folder that is not empty appeared there meanwhile
         return
     try:
         os.link(source, target)

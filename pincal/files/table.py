@@ -1,6 +1,6 @@
 """Tables whose headers carry units: columns of text, their numbers in SI, and writing them.
 
-Headers are ``x [mm]``, ``phi [deg]``, ``leg_1 [rad]``. What is written is read back bit for bit.
+Headers are ``x [mm]``, ``phi [deg]``, ``leg_1 [rad]``. Written numbers are read back bit for bit.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ _THOUSANDS = {
     r"\.": re.compile(_GROUPED.format(r"\.") + r",\d+", re.ASCII),
     _SPACES: re.compile(_GROUPED.format(_SPACES) + r"([.,]\d+)?", re.ASCII),
 }
-"""Separators of thousands, and numbers that have them for sure."""
-_MOST_TITLES = 30  # rows above the headers
-#: Files of other kinds, and what to make of them.
+"""Separators of thousands, as patterns, and numbers that certainly contain them."""
+_MOST_TITLES = 30  # most rows above the headers
+#: Suffixes of files that are not read, and the format to convert them to.
 _OTHER_KINDS = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": "CSV"}
 
 
@@ -50,30 +50,30 @@ class TextTable:
 
     path: Path
     units: dict[str, str | None]
-    """Unit of each column as written, None where there is none."""
+    """Unit of each column as written, None if it has none."""
     text: dict[str, list[str]]
     """Cells by column."""
     lines: list[int]
-    """Line of the file in which each row ends, or number of the row of a sheet or DataFrame."""
+    """Line of the file in which each row ends, or row number of a sheet or DataFrame."""
     counted: str = "line"
-    """What ``lines`` are: lines, or rows."""
+    """Whether ``lines`` count each a ``"line"`` or a ``"row"``."""
     counts: Mapping[str, float | None] = field(default_factory=dict)
-    """Encoder counts of one rad or m, by column that may be in counts; None if not known."""
+    """Encoder counts per rad or m, by column that may be in counts; None if not known."""
 
     @property
     def file_lines(self) -> tuple[int, ...] | None:
-        """Line of the file in which each row ends, None if it was no text file."""
+        """Line of the file in which each row ends; None if the table is no text file."""
         return tuple(self.lines) if self.counted == "line" else None
 
     def where(self, row: int) -> str:
-        """Return where a row is: file and line."""
+        """Return the place of a row, file and line, for messages."""
         return f"{self.path}, {self.counted} {self.lines[row]}"
 
     def __contains__(self, column: str) -> bool:
         return column in self.units
 
     def where_measured(self, columns: Iterable[str]) -> TextTable:
-        """Return the rows with something in any of some columns; others are skipped and said."""
+        """Return the rows with a value in any of some columns; log how many are skipped."""
         cells = [self.text[name] for name in columns if name in self]
         rows = enumerate(zip(*cells, strict=True))
         filled = [row for row, texts in rows if any(map(str.strip, texts))]
@@ -91,7 +91,7 @@ class TextTable:
     def array(
         self, units: Mapping[str, str], *, blank: bool = False, optional: bool = False
     ) -> Array:
-        """Return columns in SI units, (N, n), NaN where cells are blank or columns optional."""
+        """Return columns in SI units, (N, n); NaN for blank cells and missing optional columns."""
         array = np.full((len(self.lines), len(units)), np.nan)
         for place, (name, unit) in enumerate(units.items()):
             if name in self or not optional:
@@ -99,7 +99,7 @@ class TextTable:
         return array
 
     def numbers(self, column: str, dimension: str, *, blank: bool = False) -> Array:
-        """Return a column of a dimension ("m", "rad") in SI units, (N,), NaN where it is blank."""
+        """Return a column of dimension "m", "rad" or "px" in SI units, (N,); NaN where blank."""
         unit, header, fault = self.units.get(column), f"'{column} [{dimension}]'", ""
         kind, factor = UNITS.get(unit or "", ("", 1.0))
         per_unit = self.counts.get(column) if unit == COUNTS else None
@@ -108,7 +108,7 @@ class TextTable:
         elif unit is None:
             fault = f"column {column!r} has no unit; write it in the header, for example {header}"
         elif unit == COUNTS and column in self.counts and per_unit is None:
-            fault = f"column {column!r} is in counts; say how many are in one {dimension}: {SCALE}"
+            fault = f"column {column!r} is in counts, of unknown number per {dimension}: {SCALE}"
         elif kind != dimension and per_unit is None:
             expected = " or ".join(f"[{u}]" for u, (kind, _) in UNITS.items() if kind == dimension)
             fault = f"column {column!r} has unit [{unit}]; expected {expected}"
@@ -118,7 +118,7 @@ class TextTable:
         return values * factor if per_unit is None else values / per_unit
 
     def plain(self, column: str, *, blank: bool = False) -> Array:
-        """Return the numbers of a column as they are, shape (N,)."""
+        """Return the numbers of a column without conversion, shape (N,)."""
         values = np.array([plain_number(cell) for cell in self.text[column]])
         for row in np.flatnonzero(~(np.abs(values) <= LARGEST)):
             cell, place = self.text[column][row], f" in column {column!r}"
@@ -133,7 +133,7 @@ class TextTable:
 
 
 def is_dataframe(value: object) -> bool:
-    """Return whether something is a pandas DataFrame; pandas is not imported for it."""
+    """Return whether an object is a pandas DataFrame, without importing pandas."""
     pandas = sys.modules.get("pandas")
     return pandas is not None and isinstance(value, pandas.DataFrame)
 
@@ -161,7 +161,7 @@ def write_table(
 
 
 def cell_text(value: object) -> str:
-    """Return a value as it is written in a file; none is an empty cell."""
+    """Return the text of a value in a file; a missing value is an empty cell."""
     if isinstance(value, float):
         return "" if np.isnan(value) else Numeral(float(value))
     missing = value is None or type(value).__name__ in ("NAType", "NaTType")
@@ -190,7 +190,7 @@ def read_table(source: Any) -> TextTable:
 
 
 def _of_csv(path: Path) -> TextTable:
-    """Return the table of a CSV file, cells separated by what its header has."""
+    """Return the table of a CSV file; its header shows whether ``,``, ``;`` or tabs separate."""
     text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True, otherwise="cp1252")
     begun = [line for line in text.splitlines() if line.strip()][:_MOST_TITLES]
     head = next((line for line in begun if "[" in line), next(iter(begun), ""))
@@ -206,7 +206,7 @@ def _of_csv(path: Path) -> TextTable:
 def _of_rows(
     path: Path, lines: Iterable[tuple[int, list[str]]], counted: str, separated: str | None
 ) -> TextTable:
-    """Return a table of numbered rows; cells separated by commas (None) have no decimal commas."""
+    """Return the table of numbered rows; commas are not decimal if they separate cells (None)."""
     filled = ((n, row) for n, row in lines if any(cell.strip() for cell in row))
     above = list(islice(filled, _MOST_TITLES))
     if not above:
@@ -231,7 +231,7 @@ def _of_rows(
 
 
 def _titles(rows: Sequence[Sequence[str]]) -> int:
-    """Return how many rows stand above the headers: titles, which have no units, or one cell."""
+    """Return the number of title rows above the headers; titles have no units or just one cell."""
     headed = (n for n, row in enumerate(rows) if any(map(_HEADER.search, row)))
     several = (n for n, row in enumerate(rows) if sum(bool(cell.strip()) for cell in row) > 1)
     return next(headed, next(several, 0))
@@ -240,11 +240,11 @@ def _titles(rows: Sequence[Sequence[str]]) -> int:
 def _in_plain_digits(
     rows: list[list[str]], units: Sequence[str | None], *, commas: bool
 ) -> list[str]:
-    """Write 1234.5 for 1,234.5, 1.234,5 and 1234,5; return what numbers had, in words.
+    """Write 1234.5 for 1,234.5, 1.234,5 and 1234,5 in place; return notes on what was replaced.
 
-    A sign separates thousands if a number of a column with a unit has it for sure, and it is the
-    decimal sign of none. Commas are decimal ones if they may be and no cell has a decimal point: a
-    sheet's numbers have one whatever a person types. Cells that are no numbers stay as they stand.
+    A sign separates thousands if a number in a column with a unit certainly has it as a separator,
+    and no number has it as the decimal sign. Commas are decimal commas if ``commas`` allows it and
+    no cell has a decimal point (numbers of a sheet do not count). Other cells are not changed.
     """
     texts = _typed(rows, range(len(units)))
     measured = _typed(rows, [place for place, unit in enumerate(units) if unit])
@@ -259,12 +259,12 @@ def _in_plain_digits(
 
 
 def _typed(rows: list[list[str]], columns: Sequence[int]) -> set[str]:
-    """Return the cells of some columns that are text, not numbers of a sheet."""
+    """Return the cells of some columns that were typed as text, unlike numbers of a sheet."""
     return {row[i].strip() for row in rows for i in columns if not isinstance(row[i], Numeral)}
 
 
 def _separates(sign: str, cells: Iterable[str]) -> bool:
-    """Return whether a sign separates thousands in some cells, and is the decimal sign of none."""
+    """Return whether a sign separates thousands in some cell, and is the decimal sign of none."""
     decimal = {",": _DECIMAL_COMMA, r"\.": _DECIMAL_POINT}.get(sign)
     sure, numbers = _THOUSANDS[sign], [cell for cell in cells if re.search(sign, cell)]
     if decimal and any(map(decimal.fullmatch, (_ungrouped(cell, [sign]) for cell in numbers))):
@@ -273,7 +273,7 @@ def _separates(sign: str, cells: Iterable[str]) -> bool:
 
 
 def _ungrouped(cell: str, signs: Sequence[str]) -> str:
-    """Return a cell without the signs between thousands, if it is a number that has one of them."""
+    """Return a cell without its separators of thousands, if it is a number with such signs."""
     for sign in signs:
         if re.fullmatch(_GROUPED.format(sign) + r"([.,]\d+)?", cell, re.ASCII):
             return re.sub(sign, "", cell)
@@ -281,12 +281,12 @@ def _ungrouped(cell: str, signs: Sequence[str]) -> str:
 
 
 def renamed(table: TextTable, headers: Mapping[str, str]) -> TextTable:
-    """Return a table with columns of other programs under their names here, ``leg_1 [mm]``.
+    """Return a table whose columns are renamed to headers such as ``leg_1 [mm]``.
 
-    Without a unit they have that of their own header.
+    A header without a unit keeps the unit of the column.
 
     Raises:
-        MeasurementError: a column that the table does not have, or two of one name.
+        MeasurementError: the table does not have a column, or two get the same name.
     """
     names = {name: (name, unit) for name, unit in table.units.items()}
     for column, header in headers.items():
@@ -298,13 +298,13 @@ def renamed(table: TextTable, headers: Mapping[str, str]) -> TextTable:
         name, _, unit = (part.strip() for part in header.partition("["))
         names[column] = name, unit.removesuffix("]") or table.units[column]
     if len(units := dict(names.values())) < len(names):
-        raise MeasurementError(f"{table.path}: two columns are called alike by {dict(headers)}")
+        raise MeasurementError(f"{table.path}: {dict(headers)} gives two columns the same name")
     text = {names[column][0]: cells for column, cells in table.text.items()}
     return replace(table, units=units, text=text)
 
 
 def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:
-    """Return what is wrong with a row that is not as long as the header."""
+    """Return the fault of a row that is not as long as the header, for a message."""
     if any(_HEADER.search(cell) for cell in row):
         return (
             f", line {top} is taken for the header ({', '.join(header)[:60]!r}), but line {line} "

@@ -1,7 +1,7 @@
-"""Files are read whole, up to a size, as UTF-8 text; numbers in them are in plain digits.
+"""Reading of whole files up to a size, as UTF-8 text, and of numbers in plain digits.
 
-JSON that pincal writes has no infinity: an uncertainty, or an end of an interval, is null where
-nothing bounds it; any other number is null where it does not exist.
+JSON that pincal writes has no infinity: an unbounded uncertainty or end of an interval is null, and
+so is any number that does not exist.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pincal.model.checks import LARGEST
 from pincal.words.numbers import UNITS
 
 LARGEST_FILE = {"table": 2**28, "result": 2**28, "XML": 2**24, "printer": 2**22, "YAML": 2**20}
-"""Sizes up to which files are read, [bytes], by what they hold."""
+"""Largest sizes of files that are read, [bytes], by contents."""
 _log = logging.getLogger(__name__)
 _inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
 _CHUNK = 64 * 1024  # bytes
@@ -39,7 +39,7 @@ _LINE = re.compile("\r\n|\r|\n")
 
 @contextmanager
 def sparing_inputs() -> Iterator[None]:
-    """Remember which files are read inside, so that ``files.output`` never replaces them."""
+    """Record the files that are read inside, so that ``files.output`` never replaces them."""
     token = _inputs.set(set())
     try:
         yield
@@ -48,7 +48,7 @@ def sparing_inputs() -> Iterator[None]:
 
 
 def is_input(path: Path) -> bool:
-    """Return whether a file that exists was read by the command at work, by whatever name."""
+    """Return whether the running command has read an existing file, by whatever name."""
     inputs = _inputs.get()
     if not inputs:
         return False
@@ -59,10 +59,10 @@ def is_input(path: Path) -> bool:
 def read_bytes(
     path: Path, largest: int, error_type: type[PincalError], *, pipe: bool = False
 ) -> bytes:
-    """Return what a file holds, of which no more than ``largest`` bytes are ever read.
+    """Return the contents of a file of at most ``largest`` bytes.
 
-    An error of the given type says that it is too large, FileError that it cannot be read, or is a
-    device or a pipe where none may be.
+    Raises ``error_type`` if it is larger, and FileError if it cannot be read, or is a device or a
+    pipe and ``pipe`` is not set.
     """
     with explaining(f"cannot read {path}", ValueError):  # a name that no file can have
         status = path.stat()
@@ -88,9 +88,9 @@ def read_text(
     pipe: bool = False,
     otherwise: str = "",
 ) -> str:
-    """Return a file's text, line ends as they are: see ``read_bytes``.
+    """Return a file's text with its line ends unchanged: see ``read_bytes``.
 
-    Where nothing outside ASCII is UTF-8, ``otherwise`` is the encoding, and it is said.
+    If no character outside ASCII is UTF-8, the encoding ``otherwise`` is taken and logged.
     """
     data = read_bytes(path, largest, error_type, pipe=pipe)
     excel = " (in Excel: CSV UTF-8)" if path.suffix.lower() == ".csv" else ""
@@ -119,12 +119,12 @@ def lines_of(text: str) -> list[str]:
 
 
 class Numeral(str):
-    """The text of a cell that holds a number, not text: its point is a decimal one."""
+    """The text of a cell that holds a number, not text, so that its point is a decimal point."""
 
 
 def plain_number(text: str) -> float:
-    """Return the number that a text says in ASCII without gaps, NaN if it says none."""
-    bare = text.strip()  # other programs take ``１`` or ``1_000`` for something else than Python
+    """Return the number that a text holds in ASCII digits, NaN if it is none."""
+    bare = text.strip()  # Python reads ``１`` and ``1_000`` otherwise than other programs
     try:
         return float(bare) if bare.isascii() and "_" not in bare else nan
     except ValueError:
@@ -132,10 +132,10 @@ def plain_number(text: str) -> float:
 
 
 def in_si(text: str, dimensions: str, bare: str | None = "") -> float:
-    """Return a number that may have a unit, in SI: 2e-5, 20um, '20 µm', 5mrad.
+    """Return a number with an optional unit in SI, from 2e-5, 20um, '20 µm' or 5mrad.
 
-    Its unit is of one of the dimensions: "m", "rad", or both with a blank. ``bare`` is the unit of
-    a number without one: SI if empty; None if it must have one.
+    ``dimensions`` are the allowed ones: "m", "rad", or several separated by blanks. ``bare`` is the
+    unit of a number without a unit: SI if empty; None if a unit is required.
     """
     match = _NUMBER_WITH_UNIT.fullmatch(text)
     number, unit = match.groups() if match else (text, "")
@@ -150,7 +150,7 @@ def in_si(text: str, dimensions: str, bare: str | None = "") -> float:
 
 
 def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
-    """Return why a text that stands at a place, among numbers in units, is none to be used."""
+    """Return why a text is no usable number, for a message; ``place`` follows the text there."""
     named = f"{text!r}{place}"
     if abs(plain_number(text)) > LARGEST:
         return f"{named} is not a finite number, at most {LARGEST:g} in size"
@@ -160,11 +160,11 @@ def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
 
 
 def read_xml(path: Path, root: str) -> etree._Element:
-    """Return the root element of a file, of that name; nothing is resolved and nothing fetched."""
+    """Return the root element, named ``root``, of an XML file, without resolving entities."""
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False, recover=True)
-    with suppress(etree.XMLSyntaxError):  # of nothing, which the log says, too
+    with suppress(etree.XMLSyntaxError):  # for an empty file, which the log reports, too
         element = etree.fromstring(read_bytes(path, LARGEST_FILE["XML"], MechanismError), parser)
-    for fault in parser.error_log.filter_from_fatals():  # a prefix without a namespace is none
+    for fault in parser.error_log.filter_from_fatals():  # a prefix without a namespace is not fatal
         raise MechanismError(
             f"{path}, line {fault.line}: the file does not parse: {fault.message.strip()}"
         )
@@ -177,7 +177,7 @@ def read_xml(path: Path, root: str) -> etree._Element:
 
 
 def plain(value: Any) -> Any:
-    """Return data of dataclasses, mappings, sequences and arrays as JSON holds it."""
+    """Convert dataclasses, mappings, sequences and arrays to plain data for JSON."""
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
     if is_dataclass(value) and not isinstance(value, type):

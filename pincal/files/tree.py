@@ -1,7 +1,7 @@
-"""What other programs' files have in common: links, joints between them, what closes their loops.
+"""Trees of links and joints, with loops, as files of other programs define them.
 
-As a graph, tree and loops are alike: an edge is passed from parent to child, or back. What lies
-between base and platform is a route through it.
+Joints of the tree and closures of loops are edges of one graph, which are passed from parent to
+child or back. A leg is a route through the graph between base and platform.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from pincal.types import Array
 
 @dataclass(frozen=True)
 class Edge:
-    """A joint between two links, or what closes a loop: then a place on either, and they meet."""
+    """A joint between two links, or the closure of a loop, where a place on each link meets."""
 
     joint: Joint
-    """Placed on the parent; fixed where it closes a loop."""
+    """Joint placed on the parent; fixed if the edge closes a loop."""
     parent: str
     child: str
     at_child: Placement = field(default_factory=Placement)
-    """Of a loop: its place on the child."""
+    """Place of the closure on the child, for a loop."""
     closes: Closing = "frame"
-    """Of a loop: whether whole frames meet or their origins alone, as in a ball joint."""
+    """Whether whole frames meet or only their origins, as in a ball joint, for a loop."""
 
     @property
     def moves(self) -> bool:
-        """Whether the links move against each other."""
+        """Whether the links can move relative to each other."""
         return self.closes == "point" or self.joint.kind != "fixed"
 
 
@@ -44,25 +44,25 @@ Step = tuple[Edge, bool]
 
 @dataclass(frozen=True)
 class Tree:
-    """Links and joints with one root, loops, and which joints are driven."""
+    """Links and joints with one root, closures of loops, and the names of driven joints."""
 
     name: str
     source: str
     """The file, for messages."""
     root: str
-    """Link from which legs start: that of the file, or another one that is the base."""
+    """Link from which legs start: the file's root, or another link that is the base."""
     edges: tuple[Edge, ...]
     loops: tuple[Edge, ...] = ()
     active: tuple[str, ...] = ()
     """Names of the joints with a drive."""
     platform: str | None = None
-    """Link of the platform, if the file says it."""
+    """Link of the platform, if the file names it."""
     refused: Mapping[str, str] = field(default_factory=dict)
-    """Why joints cannot be part of a leg, by name: refused where one is, and only there."""
+    """Messages, by name of joint, why it cannot be part of a leg; raised only if it is."""
     remarks: Mapping[str, str] = field(default_factory=dict)
-    """What is to be said of joints that are part of a leg, by name."""
+    """Messages, by name of joint, to log if it is part of a leg."""
     slack: float = 0.0
-    """What digits that were cut off may have moved frames by, of a leg's size and [rad]."""
+    """Displacement of frames by digits that were cut off, over a leg's size, and [rad]."""
 
     @property
     def fixed(self) -> list[Edge]:
@@ -76,7 +76,7 @@ class Tree:
         return tuple(dict.fromkeys((self.root, *children, *parents)))
 
     def link(self, name: str, purpose: str) -> str:
-        """Return a link's name, of a link or of the joint that carries it."""
+        """Return a link's name, given the link or the joint that carries it."""
         if name in self.links:
             return name
         for edge in self.edges:
@@ -87,25 +87,25 @@ class Tree:
         )
 
     def check_joints(self, names: Iterable[str]) -> None:
-        """Raise if a leg or an arm is to have joints that cannot be part of one."""
+        """Raise if joints cannot be part of a leg or an arm."""
         for name in names:
             if name in self.refused:
                 raise MechanismError(self.refused[name])
 
     @property
     def geared(self) -> set[str]:
-        """Names of joints that follow others, and of those that are followed."""
+        """Names of joints that follow others, and of their leaders."""
         followers = [edge.joint for edge in self.edges if edge.joint.follows]
         return {name for joint in followers for name in (joint.name, joint.leader.joint)}
 
     def edges_to(self, links: Iterable[str]) -> list[Edge]:
-        """Return the edges on the ways from the root to some links, in the file's order."""
+        """Return the edges on the routes from the root to some links, in the file's order."""
         ways = [route(self.edges, self.root, link) for link in links]
         needed = {edge.child for way in ways for edge, _ in way}
         return [edge for edge in self.edges if edge.child in needed]
 
     def pose_at_zero(self, link: str) -> Array:
-        """Return where a link is with all joints of the tree at zero, ``T_root_link``, (4, 4)."""
+        """Return a link's pose with all joints of the tree at zero, ``T_root_link``, (4, 4)."""
         T_root_link = np.eye(4)
         for edge, forward in route(self.edges, self.root, link):
             origin = edge.joint.placement.origin()
@@ -114,7 +114,7 @@ class Tree:
 
 
 def route(edges: Iterable[Edge], start: str, goal: str) -> list[Step]:
-    """Return the shortest way from one link to another along some edges."""
+    """Return the shortest route from one link to another along some edges."""
     around: dict[str, list[tuple[str, Step]]] = {}
     for edge in edges:
         around.setdefault(edge.parent, []).append((edge.child, (edge, True)))
@@ -131,9 +131,9 @@ def route(edges: Iterable[Edge], start: str, goal: str) -> list[Step]:
 
 
 def hung(edges: Iterable[Edge], last: str) -> tuple[list[Joint], dict[str, str]]:
-    """Return the joints of a tree's edges with their parents, and which joint carries each link.
+    """Return the joints of a tree's edges with their parents, and the joint that carries each link.
 
-    What carries a link comes before it, in the order of the edges else, and the last link last.
+    Parents come before children, otherwise in the order of the edges; link ``last`` comes last.
     """
     waiting, joints, carriers = list(edges), list[Joint](), dict[str, str]()
     waiting.sort(key=lambda edge: edge.child == last)
@@ -148,7 +148,7 @@ def hung(edges: Iterable[Edge], last: str) -> tuple[list[Joint], dict[str, str]]
 
 
 def with_ranges(tree: Tree) -> Tree:
-    """Return a tree whose slides all have a range: of those without one, as the tree is long."""
+    """Return a tree whose prismatic joints all have limits, by default the length of the tree."""
     placed = [edge.joint.placement.xyz for edge in tree.edges]
     reach = max(float(np.linalg.norm(placed, axis=1).sum()) if placed else 0.0, 1.0)
     edges, remarks = list(tree.edges), dict(tree.remarks)
@@ -157,16 +157,16 @@ def with_ranges(tree: Tree) -> Tree:
         if joint.kind == "prismatic" and not np.isfinite(joint.lower):
             edges[i] = replace(edge, joint=replace(joint, lower=-reach, upper=reach))
             remarks[joint.name] = (
-                f"{joint.name!r} slides without a range in the file; ±{reach:.3g} m is taken"
+                f"{joint.name!r} slides without a range in the file; ±{reach:.3g} m is assumed"
             )
     return replace(tree, edges=tuple(edges), remarks=remarks)
 
 
 def coupled(tree: Tree) -> Tree:
-    """Return a tree whose joints follow such as move on their own, driven ones where there are.
+    """Return a tree in which every follower follows an independent joint, a driven one if any.
 
-    What follows what is one freedom, within the limits of all if these leave any; of several drives
-    the first is read, and what follows an absent joint follows the first of its kind.
+    Joints that follow each other are one freedom, within the limits of all if these overlap. Of
+    several drives the first has the reading. Followers of an absent joint follow the first of them.
     """
     joints = {edge.joint.name: edge.joint for edge in tree.edges}
     laws, led = {name: _followed(joints, name) for name in joints}, set[str]()
@@ -190,7 +190,7 @@ def coupled(tree: Tree) -> Tree:
 
 
 def _followed(joints: Mapping[str, Joint], name: str) -> Follows:
-    """Return how a joint follows one that moves on its own, itself maybe, or one that is absent."""
+    """Return the law by which a joint follows an independent joint (or itself) or an absent one."""
     law = Follows(name)
     for _ in joints:
         if law.joint not in joints or (ahead := joints[law.joint].follows) is None:
@@ -201,7 +201,7 @@ def _followed(joints: Mapping[str, Joint], name: str) -> Follows:
 
 
 def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
-    """Return a joint that turns about axes of its frame in order, or slides, for capitals."""
+    """Return edges that turn about axes of a joint's frame in order; capitals slide along them."""
     edges: list[Edge] = []
     for letter in axes:
         axis, slides = letter.lower(), letter.isupper()
@@ -218,21 +218,21 @@ def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
 
 
 def at_home(edges: tuple[Edge, ...], home: Mapping[str, float]) -> tuple[Edge, ...]:
-    """Return edges with other home positions of joints, by name."""
+    """Return edges with new home positions of joints, by name."""
     joints = ((edge.joint, home.get(edge.joint.name, edge.joint.home)) for edge in edges)
     moved = (replace(joint, home=float(position)) for joint, position in joints)
     return tuple(replace(edge, joint=joint) for edge, joint in zip(edges, moved, strict=True))
 
 
 def root_of(edges: Sequence[Edge], links: Sequence[str], source: str) -> str:
-    """Return the one link that no joint carries."""
+    """Return the root: the only link that no joint carries."""
     children, joints = [edge.child for edge in edges], [edge.joint.name for edge in edges]
     for twice in Counter(joints) - Counter(set(joints)):
         raise MechanismError(f"{source}: two joints are called {twice!r}")
     for twice in Counter(children) - Counter(set(children)):
         raise MechanismError(
-            f"{source}: link {twice!r} hangs on two joints; the file must be a tree, whose loops "
-            "are closed by constraints"
+            f"{source}: link {twice!r} is the child of two joints; the file must be a tree, whose "
+            "loops are closed by constraints"
         )
     roots = [link for link in links if link not in set(children)]
     if len(roots) != 1:

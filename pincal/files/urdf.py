@@ -1,7 +1,7 @@
-"""URDF in: a tree of links and joints, of which every element is read or refused.
+"""Reading of URDF: a tree of links and joints; every element is read, refused, or named as unread.
 
-What no leg could have is refused where a leg needs it. A leg is the chain from the root to its tip;
-a platform's points are fixed to its root.
+A joint that no leg can have is refused only where a leg needs it. A leg is the chain from the root
+to its tip; a platform's points are fixed to its root.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pincal.model.placement import Placement, placement_of
 
 Triple = tuple[float, float, float]
 XACRO = "python -m pip install xacro; xacro FILE.urdf.xacro > FILE.urdf"
-#: Elements of a <robot> that place nothing, or are read.
+#: Elements of a <robot> that are read, or have no influence on placements.
 _KNOWN = ("link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "frame")
 CLOSING = ("constraint", "loop_joint", "drake:ball_constraint", "drake:linear_bushing_rpy")
 """Elements of a <robot> that close loops."""
@@ -36,7 +36,7 @@ _PLACING = {
     "child": {"link"},
     "mimic": {"joint", "multiplier", "offset"},
 }
-#: Elements of a joint whose attributes place nothing, but for limits, which are read.
+#: Elements of a joint that do not place it; of these only limits are read.
 _PLACING_NOTHING = {"limit", "dynamics", "safety_controller", "calibration", "joint_properties"}
 KINDS: dict[str, JointKind] = {
     "revolute": "revolute",
@@ -49,7 +49,7 @@ KINDS: dict[str, JointKind] = {
 def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
     """Return the tree of a URDF; joints that no leg can have are in ``Tree.refused``.
 
-    Some joints, by name, turn about other axes in place of their own, or are fixed by none.
+    ``replaced`` has other axes of joints, by name (see ``turns``); no axis fixes a joint.
     """
     robot = read_xml(path, "robot")
     remarks = _unknown_elements(robot, path)
@@ -86,7 +86,7 @@ def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
 
 
 def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
-    """Return what to say of a <robot>'s elements and attributes that are not URDF's."""
+    """Return remarks on elements and attributes of a <robot> that are not URDF."""
     remarks: dict[str, str] = {}
     for name in sorted({*map(str, robot.attrib)} - {"name", "version"}):
         remarks[name] = f"{path}, line {robot.sourceline}: {name!r} of the <robot> is not read"
@@ -106,13 +106,13 @@ def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
 
 
 def tag_of(element: etree._Element) -> str:
-    """Return an element's tag with its prefix; empty of a comment."""
+    """Return an element's tag with its prefix; empty for a comment."""
     names = element.prefix, str(element.tag).rpartition("}")[2]
     return ":".join(filter(None, names)) if isinstance(element.tag, str) else ""
 
 
 def _edges(joint: Joint, parent: str, child: str) -> tuple[Edge, ...]:
-    """Return the edges of a joint; one whose limits are equal is fixed there."""
+    """Return the edges of a joint; a joint with equal limits is fixed there."""
     if joint.kind == "fixed" or joint.lower < joint.upper:
         return (Edge(joint, parent, child),)
     held, middle = placement_of(joint.motion(np.array([joint.lower]))[0]), f"{child}_before"
@@ -122,14 +122,14 @@ def _edges(joint: Joint, parent: str, child: str) -> tuple[Edge, ...]:
 
 
 def _remarks(element: etree._Element, joint: Joint, place: str) -> str:
-    """Return what to say of a joint that a leg has; nothing if it is an ordinary one."""
+    """Return remarks on a joint of a leg; empty if there are none."""
     name, remarks = element.get("name"), []
     if joint.kind == "fixed" and element.get("type") in ("revolute", "prismatic"):
         remarks.append(f"joint {name!r} has equal limits: it is fixed there")
     if element.find("calibration") is not None:
         remarks.append(
-            f"<calibration> of joint {name!r} says where switches are, and is not read: readings "
-            "count from the zero of the URDF"
+            f"<calibration> of joint {name!r} places switches, and is not read: readings count "
+            "from the zero of the URDF"
         )
     rpy = element.find("origin[@rpy]")
     if rpy is not None and np.abs(joint.placement.rpy).max() > 2 * np.pi:
@@ -142,10 +142,10 @@ def _remarks(element: etree._Element, joint: Joint, place: str) -> str:
 def read_leg(
     path: Path, tip: str, ends: Sequence[End] = ()
 ) -> tuple[tuple[Joint, ...], tuple[End, ...]]:
-    """Return the joints of a URDF from its root link to its tip and further ends, and these.
+    """Return the joints of a URDF from its root link to its tip and further ends, and these ends.
 
-    The ends name links, and then the joints that carry them. Carriers come before what they carry,
-    and that of the tip last.
+    The given ends name links; the returned ends name the joints that carry these links. Parents
+    come before their children, and the joint of the tip comes last.
     """
     tree = read_urdf(path)
     names = [name for end in ends for name in end.frames]
@@ -167,7 +167,7 @@ def read_leg(
 
 
 def read_points(path: Path) -> dict[str, Joint]:
-    """Return the fixed joints of a platform URDF by the names of joint and child link."""
+    """Return the fixed joints of a platform URDF, both by their names and their child links'."""
     tree = read_urdf(path)
     tree.check_joints(tree.refused)
     points: dict[str, Joint] = {}
@@ -189,7 +189,7 @@ def read_points(path: Path) -> dict[str, Joint]:
 
 
 def _weighed(joint: Joint, link: etree._Element | None, path: Path) -> Joint:
-    """Return a joint with the mass of the link behind it, if its URDF says one."""
+    """Return a joint with the mass and centre of its child link, if the URDF gives one."""
     element = None if link is None else link.find("inertial/mass")
     if link is None or element is None:
         return joint
@@ -203,7 +203,7 @@ def _weighed(joint: Joint, link: etree._Element | None, path: Path) -> Joint:
 
 
 def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
-    """Return a <joint> of a URDF, read as one of a kind; limits may be equal."""
+    """Return a <joint> of a URDF, read as type ``kind``; its limits may be equal."""
     name = element.get("name")
     if not name:
         raise MechanismError(f"{place}: a joint without a name")
@@ -235,7 +235,7 @@ def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
 
 
 def _check_parts(element: etree._Element, place: str) -> None:
-    """Raise if a <joint> holds an element or attribute that might place it and is not read."""
+    """Raise if a <joint> has an unknown element or attribute, which might place it."""
     parts = [element, *(part for part in element if isinstance(part.tag, str))]
     for part in parts:
         tag = str(part.tag)
@@ -249,12 +249,12 @@ def _check_parts(element: etree._Element, place: str) -> None:
         if odd := sorted(set(map(str, part.attrib)) - _PLACING[tag]):
             raise MechanismError(
                 f"{place}: {odd[0]!r} of its <{tag}> is no attribute of URDF, and might place it; "
-                f"expected {', '.join(sorted(_PLACING[tag]))}"
+                f"expected only {', '.join(sorted(_PLACING[tag]))}"
             )
 
 
 def _turn(element: etree._Element, place: str) -> Triple:
-    """Return roll, pitch and yaw of a joint's origin, whichever way they are written."""
+    """Return roll, pitch and yaw of a joint's origin, from ``rpy`` or ``quat_xyzw``."""
     origin = element.find("origin")
     text = None if origin is None else origin.get("quat_xyzw")
     if origin is None or text is None:
@@ -262,8 +262,8 @@ def _turn(element: etree._Element, place: str) -> Triple:
     version = element.getroottree().getroot().get("version", "1.0")
     if origin.get("rpy") is not None or version in ("1", "1.0"):
         raise MechanismError(
-            f'{place}: quat_xyzw is URDF\'s from <robot version="1.1"> on, and without rpy beside '
-            "it; programs differ in what they make of this file"
+            f'{place}: quat_xyzw needs <robot version="1.1"> or later, without rpy beside it; '
+            "programs read this file differently"
         )
     numbers = [_number(word, place) for word in text.split()]
     if len(numbers) != 4 or not any(numbers):
@@ -274,7 +274,7 @@ def _turn(element: etree._Element, place: str) -> Triple:
 
 
 def _limits(element: etree._Element, name: str, place: str) -> tuple[float, float]:
-    """Return the ends of a joint's range; infinite ones where the file says none that counts."""
+    """Return the limits of a joint; infinite if the file has none, or huge ones."""
     limit = element.find("limit")
     if limit is None or (limit.get("lower") is None and limit.get("upper") is None):
         return -np.inf, np.inf
@@ -293,7 +293,7 @@ def _limits(element: etree._Element, name: str, place: str) -> tuple[float, floa
 
 
 def triple_of(element: etree._Element | None, key: str, place: str, default: Triple) -> Triple:
-    """Return three numbers of an element's attribute, or others if there are none."""
+    """Return the three numbers of an element's attribute, or a default if it is missing."""
     text = None if element is None else element.get(key)
     if text is None:
         return default

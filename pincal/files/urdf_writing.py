@@ -1,4 +1,4 @@
-"""URDF out: a leg as a chain of joints with simple shapes, a platform as points on a link."""
+"""Writing of URDF: a leg as a tree of joints with simple shapes, a platform as points on a link."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def leg_urdf(leg: Leg) -> str:
             etree.SubElement(inertial, "origin", xyz=numbers_text(joint.centre), rpy="0 0 0")
             etree.SubElement(inertial, "mass", value=numbers_text([joint.mass]))
             moments = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
-            etree.SubElement(inertial, "inertia", moments)  # nothing accelerates
+            etree.SubElement(inertial, "inertia", moments)  # only weight matters
         colour, axis = "orange" if joint.name in read else "blue", joint.axis
         if joint.kind == "revolute":
             _visual(link, colour, "cylinder", along=axis, radius=size, length=3 * size)
-        elif joint.kind == "prismatic":  # longer than what it carries is wide
+        elif joint.kind == "prismatic":
             _visual(link, colour, "box", along=axis, size=(2 * size, 2 * size, 4 * size))
         else:
             _visual(link, "blue", "sphere", radius=size)
@@ -48,7 +48,7 @@ def leg_urdf(leg: Leg) -> str:
 
 
 def leg_links(leg: Leg) -> list[str]:
-    """Return the names of a leg's links as written, base first, tip last; no joint has one."""
+    """Return the names of a leg's links, base first, tip last, different from those of joints."""
     ends = [*(f"{joint.name}_link" for joint in leg.joints[:-1]), "tip"]
     joints = {joint.name for joint in leg.joints}
     names = [f"{leg.name}_{end}" for end in ("base", *ends)]
@@ -76,14 +76,14 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
 
 
 def _size(leg: Leg) -> float:
-    """Return a radius for joints that suits the longest link (a stroke is two), two digits, [m]."""
+    """Return a radius for joints, 3 % of the longest link or half stroke, to two digits, [m]."""
     lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints[1:]]
     lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
     return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
 
 
 def joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) -> None:
-    """Add a joint, all digits of its origin, axis and limits."""
+    """Add a joint with all digits of its origin, axis and limits."""
     continuous = joint.kind == "revolute" and not np.isfinite(joint.lower)
     kind = "continuous" if continuous else joint.kind
     element = etree.SubElement(robot, "joint", name=joint.name, type=kind)
@@ -119,7 +119,7 @@ def _visual(
     along: Triple = (0.0, 0.0, 1.0),
     **size: float | Triple,
 ) -> None:
-    """Add a shape to a link, its z along a vector; lengths in [m], rounded for reading."""
+    """Add a shape to a link with its z axis along a vector; lengths in [m], twelve digits."""
     x, y, z = along
     rpy = (0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x)))
     visual = etree.SubElement(link, "visual")
@@ -132,12 +132,12 @@ def _visual(
 
 
 def _rounded(values: float | Triple) -> str:
-    """Return twelve digits: the same on every processor, whose arctangents differ."""
+    """Return numbers with twelve digits, equal on all processors, whose arctangents differ."""
     return " ".join(f"{np.round(v, 12) + 0.0:.12g}" for v in np.atleast_1d(values))
 
 
 def numbers_text(values: Iterable[float]) -> str:
-    """Return numbers with all their digits, none of them a negative zero."""
+    """Return numbers with all their digits, without negative zeros."""
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 

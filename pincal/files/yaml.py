@@ -1,4 +1,4 @@
-"""YAML, read strictly: plain data, no surprises, and a fault is named by its line and key."""
+"""Strict reading of YAML: plain data only; messages name the line and the key of a fault."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from pincal.model.checks import LARGEST
 
 T = TypeVar("T")
 Vector: TypeAlias = tuple[float, float, float]
-_SIMILAR = 0.75  # from which a key is another one, misspelt
+_SIMILAR = 0.75  # least likeness of a misspelt key
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}", re.ASCII)
 
 
 class _Loader(Composer, yaml.CSafeLoader):
-    """Loads plain data, scanned by libyaml: several times faster than in Python.
+    """Loader of plain data, scanned by libyaml: several times faster than in Python.
 
-    Refuses repeated keys and aliases, which hide or multiply content, and numbers that YAML 1.1
-    takes for others than people do: ``010`` is 8, ``1:30`` is 90, ``1_0`` is 10.
+    It refuses repeated keys and aliases, which hide or multiply content, and numbers that YAML 1.1
+    reads differently from people: ``010`` is 8, ``1:30`` is 90, ``1_0`` is 10.
     """
 
     def __init__(self, text: str) -> None:
@@ -73,7 +73,7 @@ Readers: TypeAlias = "Mapping[str, Callable[[Entry], Any]]"
 
 
 class Entry:
-    """A value in a YAML file, which says what is wrong with it by its line and the keys to it."""
+    """A value in a YAML file, which raises errors with its line and the keys that lead to it."""
 
     def __init__(
         self,
@@ -87,11 +87,11 @@ class Entry:
         self._node, self._named, self._line, self._fault = node, named, line, fault
 
     def fail(self, text: str) -> NoReturn:
-        """Raise what is wrong, with the line."""
+        """Raise an error with the line."""
         raise self._fault(f", line {self._line}: {text}")
 
     def refuse(self, expected: str) -> NoReturn:
-        """Raise that the value is something else than expected."""
+        """Raise an error that says what is expected, and the value."""
         got = reprlib.repr(self.value)
         self.fail(f"{self._named}: {expected}" + (f"; got {got}" if got not in expected else ""))
 
@@ -102,7 +102,7 @@ class Entry:
         return Entry(node, value, f"{self._named}.{name}".lstrip("."), line, self._fault)
 
     def pairs(self) -> dict[str, Entry]:
-        """Return the entries of a mapping by its keys, whatever these are."""
+        """Return the entries of a mapping by its keys, which are not restricted."""
         if not isinstance(self._node, yaml.MappingNode):
             self.refuse("keys with values are expected")
         entries = {}
@@ -114,15 +114,15 @@ class Entry:
         return entries
 
     def mapped(self, reader: Callable[[Entry], T]) -> dict[str, T]:
-        """Return what a reader makes of each entry of a mapping, by its key."""
+        """Return the entries of a mapping by key, each converted by a reader."""
         return {key: reader(part) for key, part in self.pairs().items()}
 
     def keys(
         self, needed: Sequence[str], known: Sequence[str] = (), *, others: bool = False
     ) -> dict[str, Entry]:
-        """Return the entries of a mapping that needs some keys and may have further ones.
+        """Return the entries of a mapping that needs some keys and may have other known ones.
 
-        A key that is unknown comes before those that are missing, of which it may be a misspelling.
+        Unknown keys, unless ``others``, are refused before missing ones, which they may misspell.
         """
         entries = self.pairs()
         known = [*needed, *known]
@@ -139,12 +139,12 @@ class Entry:
         return entries
 
     def values(self, readers: Readers, needed: Sequence[str] = ()) -> dict[str, Any]:
-        """Return what readers make of a mapping's keys, of which some are needed."""
+        """Return the values of a mapping by key, converted by readers; some keys are needed."""
         keys = self.keys(needed, [key for key in readers if key not in needed])
         return {key: readers[key](part) for key, part in keys.items()}
 
     def built(self, kind: type[T], /, *needed: str, **readers: Callable[[Entry], Any]) -> T:
-        """Return a dataclass whose fields are the keys, read by their types or by readers."""
+        """Return a dataclass with the keys as fields, converted by readers or by their types."""
         hints = get_type_hints(kind).items()
         by_field = {name: readers.get(name) or _BY_TYPE[hint] for name, hint in hints}
         return kind(**self.values(by_field, needed))
@@ -196,7 +196,7 @@ class Entry:
         return x, y, z
 
     def choice(self, *options: T) -> T:
-        """Return a value that is one of some."""
+        """Return the value, which must be one of the options."""
         if isinstance(self.value, bool) or self.value not in options:
             self.refuse(f"expected {' or '.join(map(repr, options))}")
         return options[options.index(self.value)]
@@ -220,7 +220,7 @@ _BY_TYPE: dict[Any, Callable[[Entry], Any]] = {
 
 
 def read_yaml(path: Path, error_type: type[PincalError]) -> Entry:
-    """Return what a YAML file says, a mapping, whose entries raise errors of a type."""
+    """Read a YAML file with a mapping; its entries raise errors of ``error_type``."""
     text = read_text(path, LARGEST_FILE["YAML"], error_type)
     try:
         loader = _Loader(text)
@@ -239,13 +239,13 @@ def read_yaml(path: Path, error_type: type[PincalError]) -> Entry:
 
 
 def meant(key: str, known: Sequence[str]) -> str:
-    """Return the question whether another key is meant; nothing if none is alike."""
+    """Return the question whether a similar known key is meant; empty if there is none."""
     nearest = get_close_matches(key, known, 1, _SIMILAR)
     return f"did you mean {nearest[0]!r}?" if nearest else ""
 
 
 def _unparsed(error: yaml.MarkedYAMLError, text: str) -> str:
-    """Return where a text stops to be YAML, and why."""
+    """Return the line at which a text does not parse, and the reason, for a message."""
     mark, begun = error.problem_mark or error.context_mark, error.context_mark
     place = "" if mark is None else f", line {mark.line + 1}"
     fault = " ".join(str(part) for part in (error.problem, error.context) if part)
