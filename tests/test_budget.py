@@ -16,7 +16,7 @@ LINES = {
     "": 268,
     "architectures": 625,
     "calibration": 6_873,
-    "cli": 2_805,
+    "cli": 2_806,
     "design": 2_334,
     "estimation": 4_758,
     "files": 3_385,

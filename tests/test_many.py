@@ -78,7 +78,7 @@ def test_what_is_wrong_with_a_file_is_said_of_it(tmp_path: Path) -> None:
     machine.rmdir()
     machine.write_text("x [mm]\n1\n", encoding="utf-8")
     typed = ("batch", "5R", tmp_path / "line", "--workers", 1, "-o", table)
-    for missing in ("--setup", "--pairs"):
+    for missing in ("--setup", "--pairs", "--workspace"):
         outcome = run(*typed, missing, tmp_path / "no", "--results", tmp_path / "results")
         assert outcome.code == 2
         assert (

@@ -74,6 +74,16 @@ def test_a_promise_takes_as_many_equations_as_unknowns() -> None:
     assert pincal.calibrate(arm, data, noise=NOISE).promises
 
 
+@pytest.mark.parametrize("known", [{"tolerance": "1mm,2mrad,0.001"}, {"priors": {"l": 1e-3}}, {}])
+def test_what_is_known_beforehand_is_no_measurement(known: dict[str, object]) -> None:
+    """Readings alone, no more than the platform's freedoms, are refused: no drawing calibrates."""
+    poses = pincal.sample_workspace("delta", 12)
+    readings = pincal.inverse("delta", poses).readings
+    data = pincal.Measurements(poses=np.full_like(poses, np.nan), readings=readings)
+    with pytest.raises(pincal.ObservabilityError, match="determines no parameter"):
+        pincal.calibrate("delta", data, **known)
+
+
 def test_rows_for_verification_determine_nothing() -> None:
     """Four rows to fit hold the same directions whether others verify or not; none is refused."""
     robot, poses = pincal.load_mechanism("3RRR"), pincal.sample_workspace("3RRR", 20, seed=0)

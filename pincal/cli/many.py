@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from pincal import FileError, Noise, Options, load_mechanism, montecarlo
+from pincal import FileError, Noise, Options, Plan, load_mechanism, montecarlo
 from pincal.calibration.calibrate import run
 from pincal.calibration.history import history_of
 from pincal.calibration.many import Workers, add_rows
@@ -126,6 +126,7 @@ def _row(
     options: Options,
     known: InputOptions,
     running: BatchOptions,
+    workspace: Plan | None,
     *file: str,
 ) -> Row:
     """Return the row of a file, by its name in a folder."""
@@ -133,9 +134,7 @@ def _row(
     if running.results is not None:
         running.results.mkdir(parents=True, exist_ok=True)
         result.save(running.results / Path(file[0]).stem, force=True)
-    over = running.workspace
-    poses = None if over is None else read_poses(over, result.nominal)
-    return row_of_result(result, poses)
+    return row_of_result(result, workspace)
 
 
 @command
@@ -161,7 +160,9 @@ def batch(
     if not (files := [path for path in files if path.resolve() != output.resolve()]):
         raise FileError(f"{folder} has no tables; expected a .csv or .xlsx of each machine")
     items = [(path.name, sha256(path.read_bytes()).hexdigest()[:12]) for path in files]
-    make_row = partial(_row, mech, folder, options, known, running)
+    over = running.workspace
+    poses = None if over is None else read_poses(over, mechanism)
+    make_row = partial(_row, mech, folder, options, known, running, poses)
     with _growing(output) as progress:
         file = RowFile(output, row_columns(mechanism))
         columns = add_rows(make_row, items, file, running, progress)

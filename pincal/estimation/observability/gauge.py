@@ -162,7 +162,7 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
     matrices = platform.matrices(legs.poses)
     scaled = problem.observation.setup.frameless
     _, inside, frames = split_frames(mechanism, matrices, gain, moved, scaled=scaled)
-    if inside.shape[1] and len(lost) == T.shape[1]:
+    if not problem.equations.any() or (inside.shape[1] and len(lost) == T.shape[1]):
         raise ObservabilityError(
             "what is measured determines no parameter: readings that are no more than the "
             "platform's freedoms fit any machine. Measure the platform, or a part of its pose, or "
