@@ -1,7 +1,7 @@
 """Kinematic calibration of parallel robots, on Pinocchio.
 
-Which poses to measure, what the kinematic parameters are, and how sure that is. The names are in
-``__init__.pyi``; each is imported when it is first used.
+It selects poses to measure, identifies the kinematic parameters, and states their uncertainties.
+The public names are in ``__init__.pyi``; each is imported at its first use.
 """
 
 from lazy_loader import attach_stub

@@ -1,9 +1,9 @@
-"""What people ask of an object from below, and which function above does it.
+"""Methods of low-level classes whose work is done by functions of higher-level packages.
 
-A mechanism is saved and drawn, measurements are read from a table, a result makes its report: the
-class declares such a method, with its arguments and what it means, and is marked ``@attached``; the
-work is done by a function of a higher floor, imported when it is first asked for. This table is the
-only place where anything reaches up.
+A mechanism saves and draws itself, measurements are read from a table, a result makes its report:
+the class declares such a method, with its arguments and documentation, and marks it ``@attached``.
+A function of a higher package does the work, and is imported at the first call. This table is the
+only place where a lower package refers to a higher one.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ DONE_BY = {
     "Selection.__str__": "pincal.show.tables.selection_text",
     "Setup.from_yaml": "pincal.instruments.setup_file.read_setup",
 }
-"""Function or class that is called with what a method is called with, its object first."""
+"""Function or class that is called with each method's arguments, the object first."""
 
 
 def attached(method: Method) -> Method:
-    """Return a method that is declared without a body and done by its function in ``DONE_BY``."""
+    """Return a method that calls its function in ``DONE_BY``; the declaration has no body."""
     module, _, name = DONE_BY[method.__qualname__].rpartition(".")
 
     @wraps(method)

@@ -1,8 +1,8 @@
-"""One thread of BLAS while pincal computes: its matrices are small, threads wait for each other.
+"""Limit of BLAS to one thread while pincal computes: with small matrices, threads only wait.
 
-A fit of 144 rows takes four times as long with two threads of OpenBLAS as with one. Whoever calls
-pincal has the number of threads that they had when the last call of it ends. The limit is the
-process's: other threads see it meanwhile, and limits that they set meanwhile are lost.
+A fit of 144 rows takes four times as long with two threads of OpenBLAS as with one. The number of
+threads is restored when the last concurrent call ends. The limit holds for the process: other
+threads see it meanwhile, and limits that they set meanwhile are lost.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from typing import Any
 from threadpoolctl import ThreadpoolController
 
 _lock = Lock()
-_within: list[Any] = []  # an entry for each that is within; the first keeps what was
+_within: list[Any] = []  # an entry for each running call; the first holds the former limits
 
 
 @cache
 def _controller() -> ThreadpoolController:
-    import scipy.linalg  # noqa: F401  brings a BLAS of its own, which is to be seen
+    import scipy.linalg  # noqa: F401  loads its own BLAS, which the controller must find
 
     return ThreadpoolController()
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread, also as decorator; the last that is within gives back what was."""
+    """Limit BLAS to one thread, as context manager or decorator; the last call restores it."""
     with _lock:
         _within.append(None if _within else _controller().limit(limits=1, user_api="blas"))
     try:

@@ -1,6 +1,6 @@
-"""Errors that pincal raises on purpose: one root, each also the natural built-in.
+"""Errors that pincal raises on purpose: they share a root, and each is also a built-in error.
 
-``docs/errors.md`` says of each what causes it and what to do.
+``docs/errors.md`` gives the causes and remedies of each.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ _LONG_VALUE = re.compile(r"(?<!\w)(['\"])(?:(?!\1).){200,}\1|\S{300,}", re.DOTAL
 
 
 class PincalError(Exception):
-    """Root of every error raised on purpose; its text says what, where, expected, what to do."""
+    """Root of all errors raised on purpose; the text says the cause, the place and the remedy."""
 
     def __init__(self, message: str = "") -> None:
-        """Take a message, long values in it cut out."""
+        """Make an error of a message, in which long values are shortened."""
         super().__init__(_LONG_VALUE.sub(lambda x: f"{x[0][:100]}…{x[0][-20:]}", message))
 
 
@@ -29,7 +29,7 @@ class MeasurementError(PincalError, ValueError):
 
 
 class MisfitError(MeasurementError):
-    """Measurements that no mechanism like the nominal one can have made."""
+    """Measurements that do not fit any mechanism similar to the nominal one."""
 
 
 class ObservabilityError(PincalError, ValueError):
@@ -37,7 +37,7 @@ class ObservabilityError(PincalError, ValueError):
 
 
 class WorkspaceError(PincalError, ValueError):
-    """A workspace that is empty or cannot be sampled as asked."""
+    """A workspace that is empty, or cannot be computed or sampled as requested."""
 
 
 class SymmetryError(PincalError, ValueError):
@@ -50,7 +50,7 @@ class FileError(PincalError, OSError):
 
 @contextmanager
 def explaining(failure: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Say, by a FileError, what an error of the system meant, or one of further kinds."""
+    """Replace an OSError, or an error of further kinds, by a FileError that explains it."""
     try:
         yield
     except Exception as error:
@@ -61,7 +61,7 @@ def explaining(failure: str, *kinds: type[Exception]) -> Iterator[None]:
 
 @contextmanager
 def located(place: object, error_type: type[PincalError], within: object = None) -> Iterator[None]:
-    """Put a place in front of errors of a kind, unless they name it, or what it is within."""
+    """Put a place in front of the text of errors of a type, unless they name it or ``within``."""
     try:
         yield
     except error_type as error:

@@ -1,4 +1,4 @@
-"""What was found: a code and the numbers behind it. Sentences are made in ``pincal.words``."""
+"""Findings: a code and the numbers behind it. ``pincal.words`` makes sentences of them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ Severity = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that whoever holds a result should know."""
+    """A fact that a user of a result should know."""
 
     code: str
-    """Which kind of thing, such as ``"chi2-too-large"``: kebab case, stable between releases."""
+    """Kind of finding, such as ``"chi2-too-large"``: kebab case, stable between releases."""
     severity: Severity
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers and names of which its sentence is made, SI units."""
+    """Numbers, in SI units, and names that its sentence states."""
     rows: tuple[int, ...] = ()
     """Rows of the measurements concerned, counted from 0."""
     parameters: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Types of arrays, by what they hold, and of points; shapes are said where they are used."""
+"""Types of arrays and points; docstrings state the shapes where arrays are used."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
-"""Numbers."""
+"""Array of numbers."""
 Mask: TypeAlias = NDArray[np.bool_]
-"""Which elements count."""
+"""Array that selects elements by True."""
 Index: TypeAlias = NDArray[np.intp]
-"""Places of elements."""
+"""Array of indices of elements."""
 Point: TypeAlias = tuple[float, float, float]
-"""x, y, z."""
+"""Coordinates x, y, z."""

@@ -20,7 +20,7 @@ LINES = {
     "design": 2_334,
     "estimation": 4_758,
     "files": 3_385,
-    "formats": 3_515,
+    "formats": 3_513,
     "instruments": 1_579,
     "kinematics": 3_391,
     "model": 3_610,

@@ -308,11 +308,11 @@ def test_reprap_lines_are_read(tmp_path: Path) -> None:
         ("M665 L300 H270", "no M665 with R"),
         ("G28", "no M665 with L, R, H"),
         ("M665 L300 R150 H270\nM666 A0.3 B0", "tilts the bed by 0.3 %"),
-        ("M665 L300 R150 H270 D80", "line 1: 'D80' is nothing that M665"),
-        ("M665 L300:301 R150 H270", "2 lengths; expected 1 or 3"),
+        ("M665 L300 R150 H270 D80", "line 1: 'D80' is not accepted by M665"),
+        ("M665 L300:301 R150 H270", "2 lengths; expected 1, or 3"),
         ("M665 L300 R150 Hx", "'H' of M665 is not a letter and numbers"),
         ("M665 L300 R1-5 H270", "'R1-5' of M665 is not a letter and numbers"),
-        ("M665 L300 R350 H270", "longer rods are expected"),
+        ("M665 L300 R350 H270", "a radius above 0 and longer rods"),
     ],
 )
 def test_what_reprap_lines_do_not_say_is_said(tmp_path: Path, text: str, message: str) -> None:

@@ -1,8 +1,8 @@
-"""A serial arm is a mechanism of one leg: all its joints are read, and its tip is the platform.
+"""Serial arms as mechanisms of one leg: all joints have sensors, and the tip is the platform.
 
-Each joint's placement on its parent link, and the tool's on the last one, has six small
+Each joint's placement on its parent link, and the tool's on the last link, has six small
 displacements as parameters; with base and tool unknown that is one set more than there are joints.
-Which of them are not observable is found when measurements are planned or made.
+Planning and calibration find out which of them are not observable.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pincal.types import Array
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _TOOL = "tool"
-#: Ends of the names of the six freedoms of a link that floats, in order (see ``turns``).
+#: Suffixes of the six joints of a floating link, in order (see ``turns``).
 _FREE = ("px", "py", "pz", "x", "y", "z")
 
 
@@ -42,23 +42,23 @@ def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
 
 
 def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
-    """Return the serial arm between two links of a tree; loops are left out.
+    """Return the serial arm between two links of a tree, without loops.
 
-    A joint that follows one off the way is read itself.
+    A joint that follows a joint outside the arm gets its own sensor.
     """
     tree = coupled(tree)
     foot = tree.root if base is None else tree.link(base, "the base")
     steps = route(tree.edges, foot, tree.link(tip, "the tip"))
     if not all(forward for _, forward in steps):
-        raise MechanismError(f"{tree.source}: no chain of joints leads from {base!r} to {tip!r}")
+        raise MechanismError(f"{tree.source}: no chain of joints leads from {foot!r} to {tip!r}")
     names = [edge.joint.name for edge, _ in steps]
     for i, name in enumerate(names):
         stem = name.removesuffix(f"_{_FREE[0]}")
         if names[i : i + len(_FREE)] == [f"{stem}_{end}" for end in _FREE]:
             floor = steps[i + len(_FREE) - 1][0].child
             raise MechanismError(
-                f"{tree.source}: joint {stem!r} lets link {floor!r} float, and an arm stands on a "
-                f"base; import it with --base {floor}"
+                f"{tree.source}: joint {stem!r} lets link {floor!r} float, but an arm needs a "
+                f"fixed base; import it with --base {floor}"
             )
     tree.check_joints(names)
     text = f"Serial arm to {tip} of {Path(tree.source).name}."
@@ -69,11 +69,11 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
 
 
 def left_open(tree: Tree, mechanism: Mechanism) -> tuple[str, ...]:
-    """Return sentences on what a file says of a serial arm's joints and others, and is left out."""
+    """Return sentences on couplings and loops of a serial arm's joints that are left out."""
     joints = {joint.name for joint in mechanism.legs[0].moving}
     along = [edge.joint for edge in tree.edges if edge.joint.name in joints]
     free = [
-        f"{joint.name!r} follows {joint.leader.joint!r}, not on the way to the tip: it is read"
+        f"{joint.name!r} follows {joint.leader.joint!r}, which is outside the arm: it is read"
         for joint in along
         if joint.leader.joint not in joints
     ]
@@ -84,7 +84,7 @@ def left_open(tree: Tree, mechanism: Mechanism) -> tuple[str, ...]:
 
 
 def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:
-    """Return a serial arm of joints, base first; six displacements are at each and at the tool."""
+    """Return a serial arm of joints, base first, with six displacements at each and at the tool."""
     articulated = [joint for joint in joints if joint.kind != "fixed"]
     moving = [joint.name for joint in articulated if joint.follows is None]
     if not moving:
@@ -94,7 +94,7 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
     if len({_TOOL, *bare}) > len(bare):
         stems = bare
     point = identifiers((*(joint.name for joint in joints), "tip", _TOOL))[-1]
-    at_home = [  # the middle of limits that bar zero
+    at_home = [  # zero, or the middle of limits that exclude zero
         replace(j, home=0.0 if j.lower <= 0.0 <= j.upper else (j.lower + j.upper) / 2.0)
         for j in joints
     ]
@@ -115,11 +115,11 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
 def displaced(
     leg: Leg, stems: Sequence[str], axes: Sequence[str], held: Collection[str] = ()
 ) -> Leg:
-    """Return a leg with small displacements, its parameters, at each joint that moves and the tip.
+    """Return a leg with small displacements as parameters, at each joint that moves and the tip.
 
-    And at its platform point, if it closes one: along axes, not about them. Their names begin with
-    the stems, one for each moving joint and for the tip; those that are held have none. Further
-    ends are displaced as the tip and its point are, or a frame of the leg that they meet.
+    A platform point that it closes is displaced too, along axes only. Parameter names begin with
+    the stems, one for each moving joint and one for the tip; names in ``held`` get no parameter.
+    Further ends are displaced like the tip and its point, or the frame of the leg that they meet.
     """
     stem_of = _stems(leg, stems)
     parameters: list[tuple[str, float]] = []
@@ -150,7 +150,7 @@ def displaced(
 
 
 def _stems(leg: Leg, stems: Sequence[str]) -> dict[str, str]:
-    """Return what names of displacements begin with, by joint; of further ends by their place."""
+    """Return the stems of displacements' names by joint; those of further ends are numbered."""
     names = (*(joint.name for joint in leg.articulated), leg.joints[-1].name)
     stem_of = dict(zip(names, stems, strict=True))
     for place, end in enumerate(leg.ends, 2):
@@ -162,8 +162,8 @@ def _stems(leg: Leg, stems: Sequence[str]) -> dict[str, str]:
 def joints_along(tree: Tree, steps: Sequence[Step], normal: Array | None = None) -> list[Joint]:
     """Return the joints along a route from the root.
 
-    A joint that is passed backwards moves the other way; a loop that closes a point is a ball,
-    which turns about the normal, in the root's frame, where all is in a plane.
+    A joint that is passed backwards moves in reverse. A loop that closes a point becomes a ball
+    joint, or, in a plane, a revolute joint about its ``normal``, which is in the root's frame.
     """
     joints: list[Joint] = []
     for edge, forward in steps:
@@ -194,6 +194,6 @@ def joints_along(tree: Tree, steps: Sequence[Step], normal: Array | None = None)
 
 
 def _offset(name: str, matrix: Array) -> Iterator[Joint]:
-    """Yield a fixed joint, or none for nothing."""
+    """Yield a fixed joint with a displacement, shape (4, 4), or nothing for the identity."""
     if not np.array_equal(matrix, np.eye(4)):
         yield Joint(name, "fixed", placement_of(matrix))

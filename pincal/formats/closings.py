@@ -1,9 +1,9 @@
-"""What closes loops in a URDF, in the dialects that say it there: edges of a tree.
+"""Elements of URDF dialects that close loops, as edges of a tree.
 
 ``<constraint>`` is proposed for urdfdom (parent and child, ``parent_origin``, ``child_origin``, an
-axis on either); ``<loop_joint>`` is Isaac Sim's (``link1``, ``link2`` with their places); Drake's
+axis on either); ``<loop_joint>`` is Isaac Sim's (``link1``, ``link2`` with their poses); Drake's
 are ``drake:ball_constraint`` and ``drake:linear_bushing_rpy`` between frames. A ball closes a
-point. Any other joint leads from the parent to a link of its own, whose whole frame is closed.
+point. Any other joint leads from the parent to an added link, whose whole frame is closed.
 Source: github.com/ros/urdfdom/pull/264; Drake's multibody parsing, list of custom elements.
 """
 
@@ -32,7 +32,7 @@ _DRIVEN = "transmission/joint/@name | ros2_control/joint[command_interface]/@nam
 
 
 def read_closed(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
-    """Return the tree of a URDF with the loops that it closes itself, and the joints it drives."""
+    """Return the tree of a URDF with the loops that the file closes and the joints it drives."""
     tree, robot = read_urdf(path, replaced), read_xml(path, "robot")
     edges, loops = list(tree.edges), list[Edge]()
     for number, element in enumerate(part for part in robot if tag_of(part) in CLOSING):
@@ -43,7 +43,7 @@ def read_closed(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
         except KeyError as error:
             raise MechanismError(f"{place}: <{tag_of(element)}> has no {error}") from error
         for link in {(joined or [loop])[0].parent, loop.child}.difference(tree.links):
-            raise MechanismError(f"{place}: {name!r} joins {link!r}, which is no link")
+            raise MechanismError(f"{place}: {name!r} joins {link!r}, but there is no such link")
         edges += joined
         loops.append(loop)
     driven: Any = robot.xpath(_DRIVEN)
@@ -52,7 +52,7 @@ def read_closed(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
 
 
 def _closing(name: str, element: etree._Element, robot: etree._Element, place: str) -> list[Edge]:
-    """Return the edge that closes a loop, behind those of the joint by which it does so."""
+    """Return the edges of the joint that closes a loop, then the edge that is closed."""
     parts = {tag_of(part).removeprefix("drake:"): part for part in element}
     kind, axes = str(element.get("type", "spherical")), _axes(parts, place)
     if "bushing_frameA" in parts:
@@ -72,7 +72,7 @@ def _closing(name: str, element: etree._Element, robot: etree._Element, place: s
         moving = _about(replace(joint, kind=KINDS[kind], lower=-np.inf, upper=np.inf), axes[0])
         joined = [Edge(moving, parent, link)]
         turn = np.eye(4)
-        if not np.array_equal(axes[0], axes[1]):  # its own axis is seen so from the child
+        if not np.array_equal(axes[0], axes[1]):  # turn the child's frame to the parent's axis
             turn[:3, :3] = Rotation.align_vectors(axes[1], axes[0])[0].as_matrix()
             second = placement_of(second.origin() @ turn)
     else:
@@ -90,7 +90,7 @@ def _about(joint: Joint, axis: Array) -> Joint:
 
 
 def _axes(parts: Parts, place: str) -> list[Array]:
-    """Return the axes on parent and child, x if not given."""
+    """Return the axes on parent and child, by default x."""
     axes = [parts.get(f"{end}_axis", parts.get("axis")) for end in _ENDS]
     return [np.array(triple_of(axis, "xyz", place, (1.0, 0.0, 0.0))) for axis in axes]
 
@@ -113,7 +113,7 @@ def _ends(parts: Parts, robot: etree._Element) -> list[tuple[str | None, etree._
 
 
 def _stiff(parts: Parts, place: str) -> tuple[str, list[Array]]:
-    """Return which joint a bushing is whose stiff directions hold, and its axes."""
+    """Return the kind and axes of the joint whose fixed directions are a bushing's stiff ones."""
     torque, force = (
         np.array(triple_of(parts[f"bushing_{kind}_stiffness"], "value", place, (0.0,) * 3))
         for kind in ("torque", "force")
@@ -121,16 +121,16 @@ def _stiff(parts: Parts, place: str) -> tuple[str, list[Array]]:
     free, slides = np.flatnonzero(torque == 0.0), np.flatnonzero(force == 0.0)
     if len(free) == 3 and not len(slides):
         return "spherical", []
-    if len(free) == 1 and set(slides) <= set(free):  # what it lets slide, its plane holds
+    if len(free) == 1 and set(slides) <= set(free):  # the plane of the loop stops the slide
         return "revolute", [np.eye(3)[free[0]]] * 2
     raise MechanismError(
-        f"{place}: a bushing closes a loop as a ball, without stiffness about three axes, or as a "
-        "hinge, without it about one; this one is neither"
+        f"{place}: a bushing must be a ball, without torque stiffness about any axis, or a hinge, "
+        "without it about a single axis; this one is neither"
     )
 
 
 def _placed(element: etree._Element | None, place: str) -> Placement:
-    """Return where an element with xyz and rpy, or with a value, is."""
+    """Return the placement of an element with xyz and rpy, or with a value."""
     key = "xyz" if element is None or element.get("value") is None else "value"
     xyz, rpy = (triple_of(element, name, place, (0.0, 0.0, 0.0)) for name in (key, "rpy"))
     return Placement((), xyz, rpy)

@@ -1,13 +1,13 @@
-/* Readings of poses and poses of readings of one machine, in C99; needs <math.h> only.
+/* Inverse and forward kinematics of one machine, between poses and readings, in C99; needs <math.h>.
 
    Poses are rigid transforms T_base_platform: three rows of a rotation and a position, 12 numbers,
    [1] and [m]. Readings are in [rad] or [m], in the order of machine_reading_names. Joints of all
-   legs stand one after the other, MACHINE_JOINTS of them. Influences are what terms depend on, NAN
-   where one is not known; NULL for none.
+   legs stand one after the other, MACHINE_JOINTS of them. Influences are the quantities that terms
+   depend on, NAN for an unknown one; NULL for none.
 
        double T[12], readings[MACHINE_READINGS], joints[MACHINE_JOINTS];
        machine_pose(machine_home, T);
-       int leg = machine_inverse(T, NULL, NULL, readings, joints);   0, or which leg was not found
+       int leg = machine_inverse(T, NULL, NULL, readings, joints);   0, or number of a leg without solution
        int lost = machine_forward(readings, NULL, NULL, NULL, T, joints);   0, or why no pose was found
 */
 #ifndef MACHINE_KINEMATICS_H
@@ -96,7 +96,7 @@ static inline void machine_rotated(const double *T, const double *vector, double
     for (int i = 0; i < 3; i++) turned[i] = machine_dot(T + 4 * i, vector);
 }
 
-/* axis times angle of a turn */
+/* rotation vector, axis times angle, of a rotation */
 static inline void machine_rotation_vector(const double *T, double *vector) {
     double skew[3] = {T[9] - T[6], T[2] - T[8], T[4] - T[1]};
     double twice = sqrt(machine_dot(skew, skew)), angle = atan2(twice, T[0] + T[5] + T[10] - 1.0);
@@ -165,7 +165,7 @@ static inline void machine_displaced(const double *T, const double *twist, doubl
 }
 
 #ifdef MACHINE_GRID
-/* what to command for a pose to a controller with other geometry; the result may be T */
+/* the pose to command to a controller with other geometry; the result may be T */
 static inline void machine_corrected(const double *T, double *commanded) {
     double home[12], back[12], offset[6], share[MACHINE_DOF], twist[MACHINE_DOF] = {0};
     int cell[MACHINE_DOF];
@@ -194,7 +194,7 @@ static inline void machine_corrected(const double *T, double *commanded) {
 
 typedef struct { const machine_move *move; double axis[3], point[3]; } machine_joint;
 
-/* where the tip of a chain is, and its joints there */
+/* the pose of the tip of a chain, and its joints there */
 static inline void machine_along(const machine_chain *chain, const double *values, double *T, machine_joint *joints) {
     machine_copy(chain->start, T, 12);
     for (int i = 0; i < chain->n_moves; i++) {
@@ -217,7 +217,7 @@ static inline void machine_along(const machine_chain *chain, const double *value
     }
 }
 
-/* velocity at a place, and spin, of a joint's motion */
+/* velocity at a place, and spin, by a joint's motion */
 static inline void machine_twist(const machine_joint *joint, const double *place, double *twist) {
     static const double still[3] = {0, 0, 0};
     double arm[3];
@@ -226,7 +226,7 @@ static inline void machine_twist(const machine_joint *joint, const double *place
     machine_copy(joint->move->turns ? joint->axis : still, twist + 3, 3);
 }
 
-/* rows of a leg: derivatives by its unknown joints, then by the pose's twist, and less the gap, [m] */
+/* rows of a leg: derivatives by its unknown joints, then by the pose's twist, and minus the gap, [m] */
 static inline double machine_closure(const machine_leg *leg, const double *T, const double *values, int first, machine_row *A) {
     int n = leg->n_unknown, row = 0;
     double largest = 0.0;
@@ -319,7 +319,7 @@ static inline void machine_step(const machine_leg *leg, machine_row *A, double *
     machine_back(A, rows, n, n, step);
 }
 
-/* the largest step, [rad] or of the leg's size */
+/* the largest step, [rad] or over the leg's size */
 static inline double machine_length(const machine_leg *leg, int first, const double *step) {
     double largest = 0.0;
     for (int j = first; j < leg->n_unknown; j++) {
@@ -378,7 +378,7 @@ static inline void machine_bend(const machine_leg *leg, const double *known, dou
     }
 }
 
-/* influences, with gravity's loads on an arm as drawn where they are not known */
+/* influences; an arm's gravity loads, as drawn, are computed where not known */
 static inline void machine_know(const double *influences, const double *readings, double *known) {
     for (int i = 0; i <= MACHINE_INFLUENCES; i++) known[i] = influences && i < MACHINE_INFLUENCES ? influences[i] : NAN;
     if (!machine_load.n_bodies) return;
@@ -401,14 +401,14 @@ static inline void machine_know(const double *influences, const double *readings
     }
 }
 
-/* how many joints of a leg are outside their limits */
+/* the number of a leg's joints outside their limits */
 static inline int machine_outside(const machine_leg *leg, const double *joints) {
     int count = 0;
     for (int i = 0; i < leg->n_joints; i++) count += !(joints[i] >= leg->limits[i][0] - 1e-9 && joints[i] <= leg->limits[i][1] + 1e-9);
     return count;
 }
 
-/* joints of a leg by Newton's method from where they are; whether they close it in its mode */
+/* joints of a leg by Newton's method from their present positions; whether they close it in its mode */
 static inline int machine_solve(const machine_leg *leg, const double *T, const double *near, double *values) {
     double step[MACHINE_MOST];
     machine_row A[MACHINE_TALL];
@@ -569,7 +569,7 @@ static inline int machine_forward(const double *readings, const double *influenc
     return lost;
 }
 
-/* how many joints are outside their limits */
+/* the number of joints outside their limits */
 static inline int machine_beyond_limits(const double *joints) {
     int count = 0;
     for (int l = 0; l < MACHINE_LEGS; joints += machine_legs[l++].n_joints) count += machine_outside(machine_legs + l, joints);

@@ -1,9 +1,9 @@
-"""Readings of poses and poses of readings of one machine, in plain Python.
+"""Inverse and forward kinematics of one machine, between poses and readings, in plain Python.
 
 Poses are rigid transforms T_base_platform: three rows of a rotation and a position, 12 numbers,
 [1] and [m]; ``pose`` makes one of coordinates. Readings are in [rad] or [m], in the order of
-``MACHINE["readings"]``. Influences are what terms depend on, ``MACHINE["influences"]``, nan where
-one is not known: its terms are at their reference, and loads of an arm are computed.
+``MACHINE["readings"]``. Influences are the quantities that terms depend on, in the order of
+``MACHINE["influences"]``; an unknown one is nan: its terms are 0, but loads of an arm are computed.
 
     >>> T = pose(*MACHINE["home"])
     >>> readings, joints, reason = inverse(T)
@@ -19,28 +19,28 @@ MACHINE: dict[str, Any] = {}
 
 Row = list[float]
 Matrix = list[Row]
-STEPS = 40  # of Newton's method
-WITHIN = 20  # of these that stay within limits, without joints near by
+STEPS = 40  # largest number of Newton steps
+WITHIN = 20  # first steps that stay within limits, if no joints near by are given
 WAY = 10  # steps of readings on the way from home
-LARGEST = 0.3  # step of a joint, [rad] or of the leg's size
-SMALL = 1e-10  # step after which the next error is rounding
-CLOSED = 1e-10  # gap, of a leg's size, of what is closed
-DAMPING = 1e-6  # of the largest column, where joints are more than rows
+LARGEST = 0.3  # largest step of a joint, [rad] or over the leg's size
+SMALL = 1e-10  # step after which the remaining error is rounding
+CLOSED = 1e-10  # largest gap of a closed leg, over its size
+DAMPING = 1e-6  # over the largest entry, where joints are more than rows
 
 
 class Solution(NamedTuple):
-    """What inverse or forward kinematics say of a pose or of readings."""
+    """Solution of inverse or forward kinematics."""
 
     values: Row
-    """Readings, or the pose; where there is a reason, of no meaning."""
+    """Readings, or the pose; invalid if there is a reason."""
     joints: Matrix
-    """Positions of each leg's joints, [rad] or [m]: ``near`` of the next call."""
+    """Positions of each leg's joints, [rad] or [m], for ``near`` of the next call."""
     reason: str
-    """Why there is no solution; empty if there is one."""
+    """Reason why there is no solution; empty if there is one."""
 
 
 def pose(*coordinates: float) -> Row:
-    """Return the pose of the platform's coordinates, in the order of ``MACHINE["coordinates"]``."""
+    """Return the pose of coordinates, which are in the order of ``MACHINE["coordinates"]``."""
     lengths, turns = MACHINE["lengths"], MACHINE["turns"]
     T = [1.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 0, 1.0, 0]
     for axis in range(lengths):
@@ -79,12 +79,12 @@ def in_base(T: Row) -> Row:
 
 
 def in_frame(T: Row) -> Row:
-    """Return the pose of the tool in the frame of the measurements, of T_base_platform."""
+    """Return the pose of the tool in the frame of the measurements from T_base_platform."""
     return compose(compose(MACHINE["frame"], T), MACHINE["tool"])
 
 
 def corrected(T: Row) -> Row:
-    """Return what to command for a pose to a controller with other geometry, on its grid."""
+    """Return the pose to command to a controller with other geometry to reach a pose."""
     grid, home = MACHINE["grid"], pose(*MACHINE["home"])
     offset = [T[i] - home[i] for i in (3, 7, 11)] + rotation_vector(compose(T, inverted(home)))
     count, dof, corners = grid["count"], len(MACHINE["twist"]), [(0, 1.0)]
@@ -100,11 +100,11 @@ def corrected(T: Row) -> Row:
 def inverse(T: Row, influences: Row | None = None, near: Matrix | None = None) -> Solution:
     """Return the readings of a pose, in the working modes of home.
 
-    Near given joints; without them those of an arm are within limits if they can be.
+    The joints are the solution near ``near``; without it, an arm's are within limits if possible.
     """
     known = influences or [nan] * len(MACHINE["influences"])
     solution = _inverse(T, known, near)
-    for _ in range(20 * bool(MACHINE["load"]["bodies"])):  # loads follow readings, and bend little
+    for _ in range(20 * bool(MACHINE["load"]["bodies"])):  # loads depend on readings, but weakly
         before = solution
         near = near if before.reason else before.joints
         solution = _inverse(T, _with_loads(known, before.values), near)
@@ -116,9 +116,9 @@ def inverse(T: Row, influences: Row | None = None, near: Matrix | None = None) -
 def forward(
     readings: Row, influences: Row | None = None, near: tuple[Row, Matrix] | None = None
 ) -> Solution:
-    """Return the pose of readings, in the assembly mode of home; near a pose and its joints.
+    """Return the pose of readings, in the assembly mode of home, or near a pose and its joints.
 
-    Of more readings than freedoms, that of the least gaps.
+    With more readings than freedoms it is the pose of least gaps.
     """
     known = _with_loads(influences or [nan] * len(MACHINE["influences"]), readings)
     if near is not None:
@@ -142,7 +142,7 @@ def beyond_limits(joints: Matrix) -> list[str]:
 
 
 def _outside(leg: dict[str, Any], q: Row) -> list[int]:
-    """Return which joints of a leg are outside their limits."""
+    """Return the indices of a leg's joints that are outside their limits."""
     pairs = enumerate(zip(q, leg["limits"], strict=True))
     return [i for i, (value, (low, high)) in pairs if not low - 1e-9 <= value <= high + 1e-9]
 
@@ -167,8 +167,8 @@ def _inverse(T: Row, known: Row, near: Matrix | None) -> Solution:
 def _close(leg: dict[str, Any], T: Row, bent: Row, near: Row | None) -> tuple[Row, bool]:
     """Return joints that close a leg at a pose, and whether they do, in its working mode.
 
-    Near given joints; else from the starts, the nearest first: the first joints within limits
-    that close it, if there are none the first at all.
+    The search begins at ``near``; without it, at the starts, the nearest first, and takes the first
+    solution within limits, or else the first solution.
     """
     if near is not None:
         return _solve(leg, T, near, bent, near)
@@ -182,7 +182,7 @@ def _close(leg: dict[str, Any], T: Row, bent: Row, near: Row | None) -> tuple[Ro
 
 
 def _apart(T: Row, S: Row) -> float:
-    """Return the squared distance of poses, turns as [m] of the machine's size."""
+    """Return the squared distance of poses, [m²]; angles count times the machine's size."""
     weights = [0.5 * MACHINE["size"] ** 2] * 3 + [1.0]  # |R − R'|² is twice the squared angle
     return sum(weights[i % 4] * (a - b) ** 2 for i, (a, b) in enumerate(zip(T, S, strict=True)))
 
@@ -190,7 +190,7 @@ def _apart(T: Row, S: Row) -> float:
 def _solve(
     leg: dict[str, Any], T: Row, start: Row, bent: Row, near: Row | None = None
 ) -> tuple[Row, bool]:
-    """Return joints that close a leg by Newton's method, and whether they do in its mode."""
+    """Return joints by Newton's method, and whether they close the leg in its working mode."""
     q = list(start)
     for k in range(STEPS):
         if not _step_joints(leg, T, q, bent) > SMALL:
@@ -203,7 +203,7 @@ def _solve(
 
 
 def _step_joints(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> float:
-    """Take joints nearer to those that close a leg at a pose, in place; return their step."""
+    """Make a Newton step of joints, in place, to close a leg at a pose; return its length."""
     c, J, _ = _closure(leg, T, q, bent)
     unknown = leg["unknown"]
     step = _least_squares([[row[i] for i in unknown] for row in J], [-value for value in c])
@@ -235,7 +235,7 @@ def _forward(readings: Row, known: Row, T: Row, near: Matrix) -> Solution:
 
 
 def _begun(readings: Row, known: Row, T: Row, joints: Matrix, bents: Matrix) -> Row:
-    """Put readings into joints, in place, passive ones near such that close at a pose, returned."""
+    """Set active joints, in place, from readings; return a starting pose, exact for an arm."""
     T, places = list(T), iter(range(len(readings)))
     for leg, q in zip(MACHINE["legs"], joints, strict=True):
         for place, sensor in zip(leg["active"], leg["sensors"], strict=False):
@@ -250,10 +250,10 @@ def _begun(readings: Row, known: Row, T: Row, joints: Matrix, bents: Matrix) -> 
 
 
 def _stepped(T: Row, joints: Matrix, bents: Matrix) -> tuple[Row, float, float, bool]:
-    """Return a pose after a step of Newton's method, passive joints, in place, following.
+    """Return a pose after a Newton step, which moves passive joints in place.
 
-    And the largest step, the sign of the determinant, and whether legs demand as much as there
-    are freedoms. Passive joints are eliminated leg by leg.
+    Also return the largest step, the sign of the determinant, and whether there are as many
+    equations as freedoms. Passive joints are eliminated leg by leg.
     """
     legs, sign = MACHINE["legs"], 1.0
     rows: Matrix = []
@@ -291,7 +291,7 @@ def _closure(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> tuple[Row, Matri
     n, size, twist = len(q), leg["size"], MACHINE["twist"]
     for end in leg["ends"]:
         tip, moves = _chain(end["tip"], [*q, *bent])
-        if not end["loop"]:  # the platform is met, in the axes of the base
+        if not end["loop"]:  # the end meets the platform, in the axes of the base
             met = compose(T, _chain(end["point"], [*q, *bent])[0])
             axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
             returning: list[Move] = []
@@ -312,7 +312,7 @@ def _closure(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> tuple[Row, Matri
 
 
 def _columns(n: int, moves: list[Move], returning: list[Move], place: Row) -> Matrix:
-    """Return velocity and spin of a tip, at a place, against a frame, by each of n joints."""
+    """Return velocity and spin of a tip, at a place, relative to a frame, by each of n joints."""
     columns = [[0.0] * 6 for _ in range(n)]
     for sign, motion in (*((1.0, move) for move in moves), *((-1.0, move) for move in returning)):
         speed, spin = _twist(motion, place)
@@ -330,17 +330,17 @@ def _moved(freedom: int, arm: Row) -> Row:
 
 
 class Move(NamedTuple):
-    """A joint where it is: what turns or slides, its axis and a point on it, base frame."""
+    """A joint of a chain at its present place: its kind, axis, and a point on it, base frame."""
 
     turns: bool
     axis: Row
     point: Row
     rates: list[tuple[int, float]]
-    """Positions that move it, joints and behind them deformations, and how much."""
+    """Indices of joints, then deformations, that move it, each with its rate."""
 
 
 def _chain(chain: dict[str, Any], values: Row) -> tuple[Row, list[Move]]:
-    """Return where the tip of a chain is, and how its joints move it."""
+    """Return the pose of a chain's tip, and the chain's joints as moves."""
     T, moves = chain["start"], []
     for turns, axis, _, rates, behind in chain["moves"]:
         position = sum(rate * values[source] for source, rate in rates)
@@ -370,7 +370,7 @@ def _position(sensor: dict[str, Any], reading: float, known: Row) -> float:
 
 
 def _reading(sensor: dict[str, Any], position: float, known: Row) -> tuple[float, bool]:
-    """Return the reading of a joint's position, and whether the search for it settled."""
+    """Return the reading of a joint's position, and whether the search for it converged."""
     reading = (position - sensor["start"]) / sensor["slope"]
     step = 0.0
     for _ in range(50 * bool(sensor["terms"])):
@@ -385,7 +385,7 @@ def _reading(sensor: dict[str, Any], position: float, known: Row) -> tuple[float
 
 
 def _deformations(leg: dict[str, Any], known: Row) -> Row:
-    """Return how far a leg's lengths and angles deform."""
+    """Return the deformations of a leg's lengths and angles, [m] or [rad]."""
     return [
         float(sum(a * _basis(form, known[place]) for a, place, *form in deformation["terms"]))
         for deformation in leg["deformations"]
@@ -393,7 +393,7 @@ def _deformations(leg: dict[str, Any], known: Row) -> Row:
 
 
 def _basis(form: Row, value: float, slope: bool = False) -> float:
-    """Return a term's function, or its derivative; 0 where its influence is not known."""
+    """Return a term's function, or its derivative; 0 if its influence is unknown."""
     a, b, exponent = form
     if not isfinite(value):
         return 0.0
@@ -404,7 +404,7 @@ def _basis(form: Row, value: float, slope: bool = False) -> float:
 
 
 def _with_loads(known: Row, readings: Row) -> Row:
-    """Return influences with gravity's loads on an arm, as drawn, where they were not given."""
+    """Return influences; an arm's gravity loads, as drawn, are computed where not given."""
     load = MACHINE["load"]
     pairs = zip(load["sensors"], readings, strict=False)
     q = [0.0] * load["width"]
@@ -426,7 +426,7 @@ def _with_loads(known: Row, readings: Row) -> Row:
 
 
 def _turn_back(leg: dict[str, Any], q: Row, centre: Row, within_limits: bool) -> None:
-    """Take full turns off joints, in place: near a centre, and within limits if they can be."""
+    """Remove full turns of joints, in place: near a centre, and within limits if possible."""
     for i, (turns, (low, high)) in enumerate(zip(leg["turns"], leg["limits"], strict=True)):
         if turns and isfinite(q[i]):
             q[i] = _near(q[i], centre[i])
@@ -436,12 +436,12 @@ def _turn_back(leg: dict[str, Any], q: Row, centre: Row, within_limits: bool) ->
 
 
 def _near(angle: float, centre: float) -> float:
-    """Return an angle less full turns, within a half of a centre."""
+    """Return an angle without full turns, within half a turn of a centre."""
     return centre + atan2(sin(angle - centre), cos(angle - centre))
 
 
 def _mode(leg: dict[str, Any], J: Matrix) -> float:
-    """Return the sign of the determinant by all joints, where there are as many as rows."""
+    """Return the sign of the determinant by all joints; 1 if not square, or no joint is passive."""
     unknown = leg["unknown"]
     if len(unknown) != len(J) or not leg["passive"]:
         return 1.0
@@ -449,14 +449,14 @@ def _mode(leg: dict[str, Any], J: Matrix) -> float:
 
 
 def _length(leg: dict[str, Any], places: list[int], step: Row) -> float:
-    """Return the largest step of joints, [rad] or of the leg's size."""
+    """Return the largest step of joints, [rad] or over the leg's size."""
     pairs = zip(places, step, strict=True)
     lengths = [abs(value) / (1.0 if leg["turns"][i] else leg["size"]) for i, value in pairs]
     return max(lengths, default=0.0)
 
 
 def _least_squares(A: Matrix, b: Row) -> Row:
-    """Return x of the least |A x − b|; of the least length if there are fewer rows."""
+    """Return x that minimises |A x − b|; the shortest one if there are fewer rows than columns."""
     n = len(A[0])
     rows = [[*row, value] for row, value in zip(A, b, strict=True)]
     if len(A) < n:
@@ -467,9 +467,9 @@ def _least_squares(A: Matrix, b: Row) -> Row:
 
 
 def _triangularise(A: Matrix, columns: int) -> float:
-    """Reflect rows of A, in place, so that its first columns are a triangle.
+    """Make the first columns of A triangular by reflections, in place.
 
-    Return the sign of the determinant of these columns and of what is left of the axes.
+    Return the sign of the determinant of these columns and the remaining reflected axes.
     """
     sign = 1.0
     for k in range(min(columns, len(A))):
@@ -490,7 +490,7 @@ def _triangularise(A: Matrix, columns: int) -> float:
 
 
 def _back_substituted(A: Matrix, n: int) -> Row:
-    """Return x of the triangle R x = b, b being the last column."""
+    """Return x of R x = b, with a triangular R; the last column of A is b."""
     x = [0.0] * n
     for i in reversed(range(min(n, len(A)))):
         remainder = A[i][-1] - sum(A[i][j] * x[j] for j in range(i + 1, n))
@@ -528,7 +528,7 @@ def inverted(T: Row) -> Row:
 
 
 def turned(axis: Any, angle: float) -> Row:
-    """Return the turn about a unit axis through the origin."""
+    """Return the rotation about a unit axis through the origin."""
     (x, y, z), c, s = axis, cos(angle), sin(angle)
     d = 1.0 - c
     first = [c + x * x * d, x * y * d - z * s, x * z * d + y * s, 0.0]
@@ -537,7 +537,7 @@ def turned(axis: Any, angle: float) -> Row:
 
 
 def rotation_vector(T: Row) -> Row:
-    """Return axis times angle of a turn."""
+    """Return the rotation vector, axis times angle, of a rigid transform's rotation."""
     skew = [T[9] - T[6], T[2] - T[8], T[4] - T[1]]
     double = sqrt(_dot(skew, skew))
     angle = atan2(double, T[0] + T[5] + T[10] - 1.0)

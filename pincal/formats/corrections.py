@@ -1,9 +1,9 @@
-"""Corrections for controllers that know another machine, such as the nominal one, on a grid.
+"""Correction grids for controllers that know other parameters than the machine's, such as nominal.
 
-Such a controller takes its own machine to a pose x' by the readings with which the machine that
-stands there reaches x, if it is sent to x' in place of x. On the grid x' is x moved by a twist that
-is multilinear between nodes; nodes are fitted to poses all over the workspace, so that those out of
-reach serve the cells they border.
+To reach x, such a controller is commanded x', the pose that its parameters give for the readings
+with which the real machine reaches x. On the grid, x' is x moved by a twist that is multilinear
+between nodes. The nodes are fitted to poses all over the workspace, so that nodes out of reach
+serve the cells they border.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.types import Array
 
-_SMOOTH = 1e-6  # of a pose's weight: squares of second differences along the grid
+_SMOOTH = 1e-6  # weight of squared second differences along the grid, relative to a pose's
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class CorrectionGrid:
 
     platform: Platform
     low: Array
-    """Ends of the grid, twists from home, shape (dof,), [m] and [rad]; beyond, its border holds."""
+    """Lower end, a twist from home, shape (dof,), [m], [rad]; beyond, the border's twist holds."""
     high: Array
     twists: Array
-    """At the nodes, k of each coordinate, the last one fastest, shape (k^dof, dof)."""
+    """Twists at the nodes, k per coordinate, the last one fastest, shape (k^dof, dof)."""
 
     @cached_property
     def count(self) -> int:
@@ -46,13 +46,13 @@ class CorrectionGrid:
 
     @property
     def nodes(self) -> Array:
-        """Poses of the nodes, coordinates of shape (k^dof, dof)."""
+        """Poses of the nodes, coordinates, shape (k^dof, dof)."""
         axes = np.linspace(self.low, self.high, self.count).T
         twists = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
         return self.platform.moved(np.tile(self.platform.home, (len(twists), 1)), twists)
 
     def corners(self, poses: Array) -> coo_array:
-        """Return weights of the nodes around poses (N, dof), shape (N, k^dof)."""
+        """Return the weights of the nodes around poses (N, dof), a sparse matrix (N, k^dof)."""
         home = np.tile(self.platform.home, (len(poses), 1))
         place = (self.platform.twists_between(home, poses) - self.low) / (self.high - self.low)
         place = np.clip(place, 0.0, 1.0) * (self.count - 1)
@@ -66,26 +66,26 @@ class CorrectionGrid:
         return coo_array((weights.ravel(), (rows.ravel(), nodes.ravel())), size)
 
     def commands(self, poses: Array) -> Array:
-        """Return what to command in place of poses, coordinates of shape (N, dof)."""
+        """Return the poses to command in place of poses, coordinates, shape (N, dof)."""
         return self.platform.moved(poses, self.corners(poses) @ self.twists)
 
 
 def correction_grid(
     mechanism: Mechanism, controller: Mechanism, poses: Array, most_nodes: int
 ) -> CorrectionGrid:
-    """Return a grid of at most so many nodes, fitted to what takes the machine to poses (N, dof).
+    """Return the grid fitted to the commands that take the machine to poses (N, dof).
 
-    Nodes that no pose is near continue the others: second differences along the grid are small.
+    It has at most ``most_nodes`` nodes. Those that no pose is near continue the others smoothly.
 
     Raises:
-        MechanismError: more legs than freedoms, so that no pose has just the readings of another
-            machine; or no pose in reach.
+        MechanismError: the machine has more legs than freedoms, so that its readings fit no pose of
+            the controller's; or no pose is in reach.
     """
     platform = mechanism.platform
     if mechanism.redundant:
         raise MechanismError(
-            f"{mechanism.name!r} has more legs than freedoms: other readings are no other pose; "
-            "use the kinematics of 'pincal deploy', or readings by 'pincal inverse'"
+            f"{mechanism.name!r} has more legs than freedoms, so its readings fit no pose of other "
+            "geometry; use the kinematics of 'pincal deploy', or readings of 'pincal inverse'"
         )
     needed = inverse(mechanism, poses)
     reached = needed.reached.all(axis=1)
@@ -109,7 +109,7 @@ def correction_grid(
 
 
 def grid_columns(mechanism: Mechanism, grid: CorrectionGrid) -> Columns:
-    """Return poses of the nodes, ``command_x [m]`` and ``correction_x [m]``, as columns."""
+    """Return the nodes' poses, commands ``command_x [m]`` and twists ``correction_x [m]``."""
     nodes, freedoms = grid.nodes, zip(grid.platform.freedoms, grid.platform.units, strict=True)
     moved = grid.platform.moved(nodes, grid.twists)
     columns, commands = (

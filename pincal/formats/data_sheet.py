@@ -1,7 +1,7 @@
-"""Joint centres and lengths of a machine, as a data sheet and as LinuxCNC has them.
+"""Joint centres and lengths of a machine, as in data sheets and in LinuxCNC.
 
-They are read off the closed forms of legs (``kinematics.closed_forms``): struts and cables, rods on
-cranks and on carriages. Standard errors are those of the parameters, carried on to first order.
+They come from the closed forms of legs (``kinematics.closed_forms``): struts, cables, and rods on
+cranks or carriages. Standard errors are propagated from the parameters to first order.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from pincal.model.platform import Platform
 from pincal.types import Array
 from pincal.words.numbers import SI, UNITS, Units
 
-_ZERO = "length at reading 0"  # which a strut or cable has
-_STEP = 1e-6  # of parameters, for differences [m] or [rad]
-_MOVED = 1e-6  # by a direction of length 1: it is not determined
+_ZERO = "length at reading 0"  # of struts and cables only
+_STEP = 1e-6  # step of parameters for central differences, [m] or [rad]
+_MOVED = 1e-6  # change by an undetermined unit direction from which a value is undetermined
 Columns = dict[str, list[str] | Array]
 
 
 def _geometry(leg: Leg, platform: Platform, parameters: Array) -> dict[str, tuple[str, Array]]:
-    """Return what a leg's joints are and where, by name: unit, and one or three numbers."""
+    """Return a leg's dimensions by name: unit, and one or three numbers; {} if not known."""
     closure = LegClosure(leg, platform, parameters)
     form, law = closed_form(closure), sensor_law(closure)
     if form is None or leg.active != [form.driven] or law.terms:
@@ -71,13 +71,13 @@ def geometry_sheet(
 
     Args:
         mechanism: The machine, at its nominal parameters.
-        uncertain: Covariance of all legs' parameters, shape (n_params, n_params), and directions
-            of them that nothing determines, (n_params, n_lost) or None.
-        units: Of lengths and angles.
+        uncertain: Covariance of all legs' parameters, shape (n_params, n_params), and their
+            undetermined directions, shape (n_params, n_lost) or None.
+        units: Units of lengths and angles.
 
     Returns:
-        Columns leg, what, axis, value, ± and unit; of a leg without a closed form, its parameters.
-        NaN is the ± of what is not known or not determined.
+        Columns leg, what, axis, value, standard error and unit; a leg without a closed form has its
+        parameters instead. Standard errors are NaN if not known or not determined.
     """
     rows: list[tuple[str, str, str, float, float, str]] = []
     end = 0
@@ -116,19 +116,19 @@ def geometry_sheet(
 
 
 def genhexkins(mechanism: Mechanism) -> str:
-    """Return the lines of HAL that give LinuxCNC's ``genhexkins`` a hexapod's joint centres, [mm].
+    """Return HAL lines that give LinuxCNC's ``genhexkins`` the joint centres of a hexapod, [mm].
 
-    Its joints are strut lengths, its pose X Y Z with A B C turns about fixed x, y, z, [deg].
+    Its joints are strut lengths; its poses X, Y, Z and rotations A, B, C about fixed axes, [deg].
 
     Raises:
-        MechanismError: no hexapod with six struts on points.
+        MechanismError: the machine is no hexapod with six struts between points.
     """
     platform, plain = mechanism.platform, [leg.without_terms for leg in mechanism.legs]
     legs = [_geometry(leg, platform, leg.nominal) for leg in plain]
     if platform.dof != 6 or len(legs) != 6 or not all(_ZERO in leg for leg in legs):
         raise MechanismError(
-            f"{mechanism.name!r} is no hexapod with six struts between points, the machine that "
-            "genhexkins is for"
+            f"{mechanism.name!r} is no hexapod with six struts between points, the only kind of "
+            "machine that genhexkins supports"
         )
     lines = [f"# joint centres of {mechanism.name} [mm], for loadrt genhexkins"]
     for place, described in enumerate(legs):
@@ -149,13 +149,13 @@ def genhexkins(mechanism: Mechanism) -> str:
 
 _AHEAD = {"lineardeltakins": 90.0, "rotarydeltakins": -90.0}  # azimuth of joint 0 [deg]
 _NO_DELTA = "no delta that LinuxCNC has kinematics for"
-_ALIKE = 0.05  # of the size: a machine that a delta's kinematics miss by more is none
+_ALIKE = 0.05  # largest error of a delta's kinematics, over the size, for a machine to be one
 
 
 def _delta_joints(kind: str, parameters: Array, positions: Array) -> Array:
     """Return the joints of LinuxCNC's deltas at positions in its frame, (N, 3), [m] or [rad].
 
-    Parameters are radius and rod; or hip less foot radius, shin and thigh, [m].
+    ``parameters``, [m], are radius and rod, or hip minus foot radius, shin and thigh.
     """
     azimuths = np.radians(_AHEAD[kind] + np.array([0.0, 120.0, 240.0]))
     along, z = np.array([np.cos(azimuths), np.sin(azimuths)]), positions[:, 2:]
@@ -171,13 +171,13 @@ def _delta_joints(kind: str, parameters: Array, positions: Array) -> Array:
 
 
 def _delta_legs(mechanism: Mechanism) -> tuple[str, list[int], Array, list[float], float]:
-    """Return kinematics of a delta, and legs in the order of its joints, for a fit to begin.
+    """Return a delta's kinematics, and the values from which its fit starts.
 
-    Senses of the drives, lengths and the azimuth of the first leg; points of the platform are
-    taken off.
+    They are the legs in the order of its joints, senses of the drives, lengths and the azimuth of
+    the first leg; distances are net of the platform's points.
 
     Raises:
-        MechanismError: no delta of three carriages or cranks.
+        MechanismError: the machine is no delta of three carriages or cranks.
     """
     closures = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
     forms = [form for c in closures if (form := closed_form(c)) and c.leg.active == [form.driven]]
@@ -196,13 +196,13 @@ def _delta_legs(mechanism: Mechanism) -> tuple[str, list[int], Array, list[float
 
 
 def deltakins(mechanism: Mechanism, poses: Array) -> str:
-    """Return the lines of HAL for LinuxCNC's ``lineardeltakins`` or ``rotarydeltakins``, [mm].
+    """Return HAL lines for LinuxCNC's ``lineardeltakins`` or ``rotarydeltakins``, [mm].
 
-    Their few parameters, with a zero of each joint and a frame that is shifted and turned about z,
-    are fitted to the machine's drives at poses (N, 3); the lines say by how much they miss.
+    Their few parameters, a zero of each joint, and a frame shifted and turned about z are fitted to
+    the machine's drives at poses (N, 3); the lines state the remaining error.
 
     Raises:
-        MechanismError: no delta of three carriages or cranks above the platform, z upward.
+        MechanismError: the machine is no delta of three carriages or cranks above the platform.
     """
     kind, order, signs, sizes, azimuth = _delta_legs(mechanism)
     legs, turning = [mechanism.legs[place] for place in order], kind == "rotarydeltakins"
@@ -211,11 +211,11 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
     begin = np.array([0.0, 0.0, 0.0, azimuth - np.radians(_AHEAD[kind]), 0.0, 0.0, 0.0, *sizes])
 
     def drives(unknowns: Array) -> Array:
-        """Return joints less zeros, (N, 3), of a frame (4), zeros (3) and lengths."""
+        """Return joints minus zeros, (N, 3); unknowns are a frame (4), zeros (3) and lengths."""
         (x, y, z, turn), zeros, lengths = np.split(unknowns, [4, 7])
         c, s = np.cos(turn), np.sin(turn)
         frame = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        shift = np.array([x, y, z * turning])  # along z, zeros of carriages do the same
+        shift = np.array([x, y, z * turning])  # a carriage's zero already shifts along z
         return _delta_joints(kind, lengths, (poses - shift) @ frame) - zeros
 
     def missed_by(unknowns: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Linear deltas as printer firmwares hold them: one radius, and angle, arm, endstop of each tower.
+"""Linear deltas with the parameters of printer firmwares: radius, and towers' angle, arm, endstop.
 
 Klipper (``kinematics/delta.py``) and RepRapFirmware (``LinearDeltaKinematics.cpp``) share this
 model: a tower is at (R cos α, R sin α), and its carriage, at its endstop, at the height
@@ -26,9 +26,9 @@ from pincal.symmetry.elements import Element, wrapped
 from pincal.types import Array
 
 TOWERS = ("tower_a", "tower_b", "tower_c")
-ANGLES = (210.0, 330.0, 90.0)  # of the towers, where none are given [deg]
-_SMALL = 5e-10  # [m] and [1], below the digits that are written
-_PRINTED = 0.7  # of the delta radius: the print radius where none is known
+ANGLES = (210.0, 330.0, 90.0)  # default azimuths of the towers, [deg]
+_SMALL = 5e-10  # differences, [m] and [1], below the digits that are written
+_PRINTED = 0.7  # default print radius, over the delta radius
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class DeltaPrinter:
     print_radius: float | None = None
     """Radius of the bed, [m]."""
     origin: tuple[float, float] = (0.0, 0.0)
-    """Where its origin is in the base frame of the mechanism that it was made from, [m]."""
+    """Position of its origin in the base frame of the mechanism that it was made from, [m]."""
     remarks: tuple[str, ...] = ()
-    """What the file, or the mechanism, holds besides and these parameters do not."""
+    """Sentences on contents of the file or mechanism that these parameters cannot hold."""
 
     def __post_init__(self) -> None:
         for name in ("angles", "arms", "endstops"):
@@ -61,18 +61,18 @@ class DeltaPrinter:
                 f"a parameter of the printer is not a finite number, at most {LARGEST:g} m in size"
             )
         elif printed <= 0.0:
-            fault = f"the print radius is {1e3 * printed:g} mm; a radius above 0 is expected"
+            fault = f"the print radius is {1e3 * printed:g} mm; expected a radius above 0"
         elif not 0.0 < self.radius < min(self.arms):
             fault = (
                 f"the delta radius is {1e3 * self.radius:g} mm and the shortest rod "
-                f"{1e3 * min(self.arms):g} mm; a radius above 0 and longer rods are expected"
+                f"{1e3 * min(self.arms):g} mm; expected a radius above 0 and longer rods"
             )
         if fault:
             raise MechanismError(fault)
 
     @property
     def firmware_lines(self) -> str:
-        """The parameters in the units of firmware."""
+        """Lines with the parameters in the units of firmwares, mm and degrees."""
         angles = np.degrees(self.angles) % 360.0
         lines = [
             f"tower {name}: angle {angle:.4f}°, arm {1e3 * arm:.4f} mm, endstop {1e3 * end:.4f} mm"
@@ -83,7 +83,7 @@ class DeltaPrinter:
     def mechanism(
         self, name: str, description: str = "", legs: Sequence[str] = TOWERS
     ) -> Mechanism:
-        """Return the printer as a mechanism; readings are the ways down from the endstops, [m]."""
+        """Return the printer as a mechanism; readings are distances below the endstops, [m]."""
         template = load_mechanism("linear_delta")
         first = template.legs[0]
         made = []
@@ -106,17 +106,17 @@ class DeltaPrinter:
 
 
 def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
-    """Return a mechanism in a firmware's parameters, by its geometry; legs are towers in order."""
+    """Return a mechanism's firmware parameters, by its geometry; legs are the towers in order."""
     if mechanism.platform.kind != "translational" or len(mechanism.legs) != 3:
         raise MechanismError(
-            f"{mechanism.name!r} is no linear delta: three carriages and a platform that moves "
-            "along x, y, z are expected"
+            f"{mechanism.name!r} is no linear delta: expected three carriages and a platform that "
+            "moves along x, y, z"
         )
     towers = np.array([_tower(LegClosure(leg, mechanism.platform)) for leg in mechanism.legs])
     points, tops, arms, gains = towers[:, :2], towers[:, 2], towers[:, 3], towers[:, 4]
     chords = points[1:] - points[0]
     if abs(np.linalg.det(chords)) <= 1e-6 * float((chords**2).sum()):
-        raise MechanismError("the three towers are in line; no printer has them so")
+        raise MechanismError("the three towers are in line; expected towers on a circle")
     half = ((points[1:] ** 2).sum(axis=1) - (points[0] ** 2).sum()) / 2
     x, y = np.linalg.solve(chords, half).tolist()  # the centre of their circle
     around = points - (x, y)
@@ -127,8 +127,8 @@ def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
             "than a rod is long; a firmware cannot home such a printer"
         )
     remarks = [
-        f"{leg.name}: terms of {', '.join(('its sensor', *leg.deformed))} have no place in a "
-        "firmware; it gets what they are at the reference of what they follow"
+        f"{leg.name}: a firmware cannot hold terms of {', '.join(('its sensor', *leg.deformed))}; "
+        "its parameters are those at the reference of the terms' influences"
         for leg in mechanism.legs
         if leg.amplitudes
     ]
@@ -139,9 +139,8 @@ def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
             "is the centre of their circle. Prints move by that much as a whole"
         )
     remarks += [
-        f"{leg.name} moves {gain:.9f} mm for each mm that the firmware believes: multiply its way "
-        "per step by that (Klipper: rotation_distance; RepRapFirmware: divide the steps per mm of "
-        "M92)"
+        f"{leg.name} moves {gain:.9f} mm for each mm of the firmware: multiply its travel per step "
+        "by that (Klipper: rotation_distance; RepRapFirmware: divide the steps per mm of M92)"
         for leg, gain in zip(mechanism.legs, gains, strict=True)
         if abs(gain - 1.0) > _SMALL
     ]
@@ -156,24 +155,24 @@ def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
 
 
 def _tower(closure: LegClosure) -> Array:
-    """Return x, y of a tower, its carriage's height at reading 0, the rod's length, the gain.
+    """Return x, y of a tower, the carriage's height at reading 0, the rod's length, and the gain.
 
-    Positions are of the rod's upper end with the platform's point in the origin, [m].
+    Positions, [m], are of the rod's upper end with the platform's point at the origin.
     """
     leg = closure.leg
     slides = leg.active == [0] and leg.moving[0].kind == "prismatic"
     rod = closed_form(closure)
     if not slides or rod is None or rod.frame is None:
         raise MechanismError(
-            f"{leg.name} is not a carriage, a universal joint and a rod, as a linear delta's legs "
-            "are"
+            f"{leg.name} is no leg of a linear delta: expected a driven carriage, a universal "
+            "joint and a rod"
         )
     vertical = rod.frame[:, 1]
     tilt = hypot(vertical[0], vertical[1])
     if tilt > EXACT:
         raise MechanismError(
             f"{leg.name}: its carriage moves {1e3 * tilt:.4g} mrad off the vertical; firmwares "
-            "have no parameter for that"
+            "have no parameter for this tilt"
         )
     law = sensor_law(closure)
     gain = -float(vertical[2]) * law.slope[0]

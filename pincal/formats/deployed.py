@@ -1,8 +1,8 @@
-"""Kinematics of a machine as one Python file, or as one C99 header, that need nothing of pincal.
+"""Kinematics of a machine as one Python file, or one C99 header, that do not need pincal.
 
-Both work with the same tables. Every kinematic parameter is a joint of a leg's calibration chain
-(``kinematics.chain``); of these stay the ones that move, each with the constant transform behind
-it, parameters put in.
+Both use the same tables. Every kinematic parameter is a joint of a leg's calibration chain
+(``kinematics.chain``); at given parameters, only the joints that move remain, each followed by a
+constant transform.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from pincal.types import Array
 Table = dict[str, Any]
 _AXES = dict(zip("xyz", np.eye(3), strict=True))
 _NO_SHIFT = np.eye(4)
-_DIGITS = 9  # of twists on a grid, [m] and [rad]
-_STARTS, _DRAWN = 32, 256  # configurations to seek joints from, of so many readings at most
-_START_DIGITS = 4  # of these, [m] and [rad]
-_LEFT = "left"  # begins a reason: closed, and in another mode
+_DIGITS = 9  # decimals of twists on a grid, [m] and [rad]
+_STARTS, _DRAWN = 32, 256  # starting configurations for joints, and readings drawn for them
+_START_DIGITS = 4  # decimals of starting configurations, [m] and [rad]
+_LEFT = "left"  # prefix of the reason that all legs close, but in another mode
 _TEMPLATE = Path(__file__).with_name("controller_kinematics.py")
 _PLACE = "MACHINE: dict[str, Any] = {}\n"
 _DECLARED = {
@@ -61,11 +61,11 @@ _DECLARED = {
     "starts": "double machine_starts[][12]",
     "legs": "machine_leg machine_legs[]",
 }
-"""How tables of a machine are declared in C."""
+"""C declarations of a machine's tables."""
 
 
 class Several(list[Any]):
-    """A list of any length: in C its count, and where the first of its items is."""
+    """A list of any length: in C a count and a pointer to the first item."""
 
     def __init__(self, kind: str, items: Sequence[Any]) -> None:
         super().__init__(items)
@@ -74,29 +74,29 @@ class Several(list[Any]):
 
 @dataclass(frozen=True)
 class Deployed:
-    """What goes onto a controller: a machine, and where it was measured."""
+    """A machine for a controller, with the frame and tool in which it was measured."""
 
     mechanism: Mechanism
     frame: Array = field(default_factory=lambda: np.eye(4))
-    """T_frame_base of the frame of the measurements, shape (4, 4)."""
+    """T_frame_base, with the frame of the measurements, shape (4, 4)."""
     tool: Array = field(default_factory=lambda: np.eye(4))
-    """T_platform_tool, of the point that was measured, shape (4, 4)."""
+    """T_platform_tool, with the tool at the measured point, shape (4, 4)."""
     grid: CorrectionGrid | None = None
-    """Corrections of poses for a controller that knows another machine."""
+    """Corrections of poses for a controller that knows other parameters."""
 
     @property
     def title(self) -> str:
-        """What the files are."""
+        """Title of the files."""
         return f"Kinematics of {_plain(self.mechanism.name)}, written by pincal {__version__}."
 
     @property
     def tables(self) -> Table:
-        """The tables of the machine, of which forward kinematics say the assembly mode of home."""
+        """Tables of the machine; the sign of home's assembly mode is set by forward kinematics."""
         return cast(Table, self.kinematics.MACHINE)
 
     @cached_property
     def kinematics(self) -> Any:
-        """The module that is deployed: a copy of its own, with the tables of the machine."""
+        """A separate copy of the module that is deployed, with the tables of the machine."""
         spec: Any = find_spec(f"{__package__}.{_TEMPLATE.stem}")
         kinematics: Any = module_from_spec(spec)
         spec.loader.exec_module(kinematics)
@@ -145,7 +145,7 @@ def c_header(deployed: Deployed, prefix: str) -> str:
 
     Args:
         deployed: The machine.
-        prefix: What names of functions begin with, such as ``hexapod``.
+        prefix: Prefix of the functions' names, such as ``hexapod``.
     """
     tables = deployed.tables
     legs, load = tables["legs"], tables["load"]
@@ -181,12 +181,12 @@ def c_header(deployed: Deployed, prefix: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return a name that ends neither a comment nor a text."""
+    """Return a name without characters that could end a comment or a string."""
     return re.sub(r"[^\w .+-]", "_", text)
 
 
 def _c(value: Any) -> str:
-    """Return a value in C: an array or a struct in braces, whose fields are the keys of a table."""
+    """Return a value in C; arrays and structs are in braces, fields are the keys of a table."""
     if isinstance(value, dict):
         counted = [(f"n_{name}", len(v)) for name, v in value.items() if isinstance(v, Several)]
         fields = (f".{name} = {_c(v)}" for name, v in (*counted, *value.items()))
@@ -203,9 +203,9 @@ def _c(value: Any) -> str:
 
 
 def _starts(machine: Mechanism) -> tuple[Array, dict[str, Array]]:
-    """Return poses from which joints are sought, shape (N, dof), and each leg's joints there.
+    """Return poses from which the search for joints starts, (N, dof), and each leg's joints there.
 
-    Home, and where readings lead that are spread evenly between limits of the active joints.
+    They are home, and the poses of readings spread evenly between the active joints' limits.
     """
     (low, high, _), legs = reading_range(machine), machine.legs
     readings = low + (high - low) * Halton(len(low), seed=0).random(_DRAWN)
@@ -257,7 +257,7 @@ def _leg(machine: Mechanism, closure: LegClosure, starts: Array) -> Table:
 
 
 def _path(leg: Leg, end: str | Joint) -> list[Joint]:
-    """Return the joints on the way to a joint of the leg; none to one of the platform's."""
+    """Return the joints from the base to a joint of the leg; none for a platform point."""
     return [leg.joints[place] for place in leg.path(end)] if isinstance(end, str) else []
 
 
@@ -268,10 +268,10 @@ def _rows(matrix: Array) -> list[float]:
 def _chain(
     leg: Leg, joints: Sequence[Joint], sources: dict[str, int], tip: Array = _NO_SHIFT
 ) -> Table:
-    """Return the joints of a chain that move, each with what is constant behind it.
+    """Return the table of a chain: its moving joints, each followed by a constant transform.
 
-    Joints have the places of the leg's moving joints; parameters move as well that have a source.
-    Its tip is seen from the last joint's link as ``tip``, shape (4, 4).
+    Joints are indexed as the leg's moving joints; parameters that have an index in ``sources`` move
+    too. ``tip``, shape (4, 4), is the chain's tip in the frame of the last joint's link.
     """
     elements, rows, geared, placed = elementary_joints(leg, joints)
     for element, column, parameter, sign in geared:
@@ -311,15 +311,15 @@ def _sensors(machine: Mechanism, leg: Leg, law: SensorLaw) -> Several:
 
 
 def _term(machine: Mechanism, leg: Leg, placed: PlacedTerm, known: int) -> tuple[Any, ...]:
-    """Return amplitude, place among influences (-1: the reading), and function of a term.
+    """Return a term's amplitude, the index of its influence (-1 for the reading), and function.
 
-    Of a function a and b, and an exponent: ((x - b) / a)ⁿ, or sin(a x + b) if it is 0.
+    The function is a, b and an exponent n: ((x - b) / a)ⁿ, or sin(a x + b) if n is 0.
     """
     basis, term = placed.term.basis, placed.term
     if not term.has_form:
         raise MechanismError(
-            f"term {term.parameter!r} of {leg.name} is a function of your own, which no file can "
-            "hold; write readings of your poses instead (pincal.inverse)"
+            f"term {term.parameter!r} of {leg.name} is a Python function, which no file can hold; "
+            "compute the readings of your poses instead (pincal.inverse)"
         )
     place = -1
     if placed.column >= known:
@@ -334,7 +334,7 @@ def _term(machine: Mechanism, leg: Leg, placed: PlacedTerm, known: int) -> tuple
 
 
 def _load(machine: Mechanism) -> Table:
-    """Return what weighs on an arm as drawn, and which influences its loads are."""
+    """Return the table of an arm's gravity loads, as drawn, and of the influences that they are."""
     if not machine.weighs or not machine.loaded:
         counted = ("active", "sensors", "bodies", "columns")
         return {"gravity": [0.0] * 3, "width": 1, **{name: Several("", ()) for name in counted}}
@@ -344,8 +344,8 @@ def _load(machine: Mechanism) -> Table:
     at_tool = [f"{leg.name}.{name}" for name in leg.point.placement.parameter_units]
     if len(drawing.legs) > 1 or not leg.is_arm or set(owners).intersection(at_tool):
         raise MechanismError(
-            f"terms of {machine.name!r} follow loads of a tool, or of a machine with loops, which "
-            "no file computes; write readings of your poses instead (pincal inverse)"
+            f"terms of {machine.name!r} depend on loads of a tool, or of a machine with loops, "
+            "which no file computes; compute the readings of your poses instead (pincal inverse)"
         )
     named = dict(zip(leg.reading_names, leg.active, strict=True))
     named |= {name: n + place for place, name in enumerate(leg.parameter_ids)}

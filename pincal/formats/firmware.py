@@ -1,10 +1,10 @@
-"""Delta kinematics in files of firmwares: Klipper, RepRapFirmware, Marlin. Lengths mm, angles deg.
+"""Delta kinematics in files of Klipper, RepRapFirmware and Marlin; lengths in mm, angles in deg.
 
-Klipper's ``printer.cfg`` ends with a block that SAVE_CONFIG appends, in which options count that
-are not above it. There are also heights that DELTA_CALIBRATE probed, and distances
-that DELTA_ANALYZE was told, with "stable positions": steps that each carriage went down from its
-endstop, which do not depend on the parameters (``klippy/extras/delta_calibrate.py``). Times the way
-per step they are readings.
+Klipper's ``printer.cfg`` ends with a block that SAVE_CONFIG appends; options above it win over
+those in it. The block also holds heights that DELTA_CALIBRATE probed and distances given to
+DELTA_ANALYZE, with "stable positions": steps that each carriage went down from its endstop, which
+do not depend on the parameters (``klippy/extras/delta_calibrate.py``). Multiplied by the travel per
+step they are readings.
 
 ``M665 L333.1:333.0:332.9 R174.7 H297.1 B140 X0.1 Y-0.2 Z0`` and ``M666 X0.1 Y-0.2 Z0.1 A0 B0``:
 rods L, delta radius R, homed height H, print radius B, corrections of the towers' angles (counted
@@ -37,13 +37,13 @@ from pincal.types import Array
 from pincal.words.numbers import UNITS
 
 _MM = UNITS["mm"][1]
-_SAVED = "#*# "  # begins the lines of SAVE_CONFIG
+_SAVED = "#*# "  # prefix of the lines of SAVE_CONFIG
 _STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 _OF_TOWERS = ("angle", "arm_length", "position_endstop")
 _COMMENT = re.compile(r";.*|\([^)]*(?:\)|$)")
 _COMMAND = re.compile(r"^\s*(?:N\d+\s+)?M0*(665|666)(?![\d.])(.*)$", re.I | re.A)
 Firmware = Literal["reprap", "marlin"]
-#: What each firmware's commands take, by letters.
+#: Letters that each firmware's commands accept.
 _KNOWN = {
     "reprap": {"665": "LRHBXYZ", "666": "XYZAB"},
     "marlin": {"665": "LRHBXYZABCS", "666": "XYZ"},
@@ -53,8 +53,8 @@ _KNOWN = {
 def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Measurements]:
     """Return the delta of a ``printer.cfg``, and the heights and distances that it holds.
 
-    Heights of the nozzle over the bed are z of the poses; readings are ways of the carriages down
-    from their endstops.
+    Heights of the nozzle over the bed are z of the poses; readings are the distances of the
+    carriages below their endstops.
     """
     with located(path, MechanismError):
         config = _Options(read_text(Path(path), LARGEST_FILE["printer"], MechanismError, pipe=True))
@@ -71,7 +71,7 @@ def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Measurements]:
         radius = config.number("printer", "delta_radius")
         printed = config.number("printer", "print_radius", np.nan)
         remarks = [
-            f"{name[:100]!r} is not read: options of the delta that are there do not count"
+            f"{name[:100]!r} is not read: options of the delta in that file do not count"
             for name in config.sections()
             if name.startswith("include ")
         ]
@@ -80,9 +80,9 @@ def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Measurements]:
 
 
 def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrinter:
-    """Return the delta kinematics of M665 and M666 in a file; later lines win, letter by letter.
+    """Return the delta kinematics of M665 and M666 in a file; a later line wins for each letter.
 
-    Whose file it is must be said where firmwares mean different things by it.
+    The firmware must be given where firmwares interpret the commands differently.
     """
     with located(path, MechanismError):
         text = read_text(Path(path), LARGEST_FILE["printer"], MechanismError, pipe=True)
@@ -94,14 +94,14 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
         tilt, corrections = values("666", "AB"), values("666", "XYZ")
         if tilt.any():
             raise MechanismError(
-                f"M666 tilts the bed by {tilt[tilt != 0.0][0]:g} %, which a linear delta has no "
-                "parameter for. Calibrate without tilt (factors 6 or 7 of G30 S), or set A0 B0 and "
-                "measure anew"
+                f"M666 tilts the bed by {tilt[tilt != 0.0][0]:g} %; a linear delta has no "
+                "parameter for that. Calibrate without tilt (factors 6 or 7 of G30 S), or set "
+                "A0 B0 and measure again"
             )
         if corrections.any() and firmware is None:
             raise MechanismError(
-                "M666 corrects endstops, which RepRapFirmware adds to the height and Marlin takes "
-                "off; say whose file it is: --format reprap or --format marlin"
+                "M666 corrects endstops: RepRapFirmware adds these to the height, Marlin subtracts "
+                "them; say whose file it is: --format reprap or --format marlin"
             )
         sign = -1.0 if firmware == "marlin" else 1.0
         trimmed = firmware == "marlin" and not {"665A", "665C"}.isdisjoint(numbers)
@@ -113,7 +113,7 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
 
 
 def _commands(text: str, known: Mapping[str, str]) -> dict[str, list[float]]:
-    """Return the numbers behind each letter of M665 and M666, by ``665L`` and so on."""
+    """Return the numbers after each letter of M665 and M666, by command and letter: ``665L``."""
     numbers: dict[str, list[float]] = {}
     for number, line in enumerate(lines_of(text), start=1):
         command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0].removeprefix("echo:"))
@@ -123,9 +123,8 @@ def _commands(text: str, known: Mapping[str, str]) -> dict[str, list[float]]:
             place = f", line {number}: {word.strip()[:40]!r}"
             if letter not in known[code]:
                 raise MechanismError(
-                    f"{place} is nothing that M{code} takes; expected {', '.join(known[code])} "
-                    "with numbers (--format says whose file it is: firmwares mean different "
-                    "things by it)"
+                    f"{place} is not accepted by M{code}; expected {', '.join(known[code])} with "
+                    "numbers (firmwares differ: --format says whose file it is)"
                 )
             behind = [plain_number(part) for part in word[1:].split(":")]
             if not np.isfinite(behind).all():
@@ -139,21 +138,21 @@ def _commands(text: str, known: Mapping[str, str]) -> dict[str, list[float]]:
         )
     if len(numbers["665L"]) not in (1, 3):
         count = len(numbers["665L"])
-        raise MechanismError(f"M665 L has {count} lengths; expected 1 or 3, by colons")
+        raise MechanismError(f"M665 L has {count} lengths; expected 1, or 3 separated by colons")
     return numbers
 
 
 def _printer(
     radius: float, angles: Array, arms: Array, endstops: Array, printed: float
 ) -> DeltaPrinter:
-    """Return a printer of numbers in mm and degrees; of a bed's radius NaN if it is not known."""
+    """Return a printer of numbers in mm and degrees; ``printed``, the bed's radius, may be NaN."""
     lengths = (_MM * arms).tolist(), (_MM * endstops).tolist()
     bed = _MM * printed if isfinite(printed) else None
     return DeltaPrinter(_MM * radius, np.radians(angles).tolist(), *lengths, bed)
 
 
 def write_klipper(printer: DeltaPrinter) -> str:
-    """Return the sections of a ``printer.cfg`` of a delta, to SAVE_CONFIG's 1e-6 mm and degrees."""
+    """Return the delta's sections of a ``printer.cfg``, with 1e-6 mm and degrees as SAVE_CONFIG."""
     lines = [
         "# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of",
         "# the same options, above the SAVE_CONFIG block: there it wins over what is saved.",
@@ -170,9 +169,9 @@ def write_klipper(printer: DeltaPrinter) -> str:
 
 
 def write_reprap(printer: DeltaPrinter) -> str:
-    """Return the lines M665 and M666 of a delta, to 1e-4 mm and degrees; B stays as it is.
+    """Return the lines M665 and M666 of a delta, to 1e-4 mm and degrees; B is not written.
 
-    As the firmware does, the mean of the endstops is the homed height.
+    As in the firmware, the homed height is the mean of the endstops.
     """
     endstops = np.array(printer.endstops) / _MM
     height = round(float(endstops.mean()), 4)
@@ -193,7 +192,7 @@ def write_reprap(printer: DeltaPrinter) -> str:
 
 
 def _notes(printer: DeltaPrinter, mark: str) -> list[str]:
-    """Return a printer's remarks as lines of comments that begin with a mark."""
+    """Return a printer's remarks as comment lines that begin with a mark."""
     return [
         line
         for text in printer.remarks
@@ -218,20 +217,20 @@ class _Options(configparser.RawConfigParser):
             raise MechanismError(f"not a configuration of Klipper: {fault}") from error
 
     def text(self, section: str, option: str, default: str | None = None) -> str:
-        """Return an option; one without a default must be there."""
+        """Return an option; raise MechanismError if it is missing and has no default."""
         text: str | None = self.get(section, option, fallback=default)
         if text is None:
             raise MechanismError(f"no option {option!r} in section [{section}]")
         return text.strip()
 
     def number(self, section: str, option: str, default: float | None = None) -> float:
-        """Return an option as a number; one without a default must be there."""
+        """Return an option as a number; raise MechanismError if missing and without default."""
         if default is not None and not self.has_option(section, option):
             return default
         return self.numbers(section, option, 1)[0]
 
     def numbers(self, section: str, option: str, count: int) -> list[float]:
-        """Return an option as so many numbers."""
+        """Return an option as ``count`` numbers separated by commas."""
         text = self.text(section, option)
         values = [plain_number(part) for part in text.split(",")]
         if len(values) != count or not np.isfinite(values).all():
@@ -240,9 +239,9 @@ class _Options(configparser.RawConfigParser):
         return values
 
     def probing(self) -> Measurements:
-        """Return what DELTA_CALIBRATE probed and DELTA_ANALYZE measured, rows at which it did.
+        """Return the measurements of DELTA_CALIBRATE and DELTA_ANALYZE.
 
-        Rows of heights, manual ones first; then two rows of each distance.
+        The rows of heights come first, manual ones before probed ones; then two rows per distance.
         """
         heights = self._saved("manual_height", "_pos") + self._saved("height", "_pos")
         distances = self._saved("distance", "_pos1", "_pos2")
@@ -255,8 +254,8 @@ class _Options(configparser.RawConfigParser):
         sizes = np.abs(np.column_stack((z, spans, readings)))
         if not (np.isnan(sizes) | (sizes <= LARGEST)).all():
             raise MechanismError(
-                "a height or distance of [delta_calibrate], or its steps times their way, is no "
-                f"number up to {LARGEST:g} m"
+                "a height or distance of [delta_calibrate], or its steps times the travel per "
+                f"step, is no number up to {LARGEST:g} m"
             )
         poses = np.column_stack((np.full((len(z), 2), np.nan), z))
         if not distances:
@@ -268,7 +267,7 @@ class _Options(configparser.RawConfigParser):
         return Measurements(poses=poses, readings=readings, extra=extra, contacts=contacts)
 
     def _saved(self, kind: str, *ends: str) -> list[tuple[float, list[list[float]]]]:
-        """Return the numbers ``kind0`` … of [delta_calibrate], and the steps at their ends."""
+        """Return the numbers ``kind0``, ``kind1``, … of [delta_calibrate], with their steps."""
         section, numbers = "delta_calibrate", list[tuple[float, list[list[float]]]]()
         while self.has_option(section, name := f"{kind}{len(numbers)}"):
             steps = [self.numbers(section, f"{name}{end}", 3) for end in ends]
@@ -276,7 +275,7 @@ class _Options(configparser.RawConfigParser):
         return numbers
 
     def _way_per_step(self, stepper: str) -> float:
-        """Return the way of a carriage for a step, [mm] (``klippy/stepper.py``)."""
+        """Return the travel of a carriage per step, [mm] (``klippy/stepper.py``)."""
         steps = self.number(stepper, "full_steps_per_rotation", 200.0)
         per_turn = steps * self.number(stepper, "microsteps")
         for pair in filter(str.strip, self.text(stepper, "gear_ratio", "").split(",")):
@@ -288,5 +287,5 @@ class _Options(configparser.RawConfigParser):
             per_turn *= driven / driving
         way = self.number(stepper, "rotation_distance") / per_turn if per_turn else np.nan
         if not 0.0 < way < inf:
-            raise MechanismError(f"[{stepper}] has no way per step above zero")
+            raise MechanismError(f"[{stepper}]: the travel per step is not above zero")
         return way
