@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_873,
+    "calibration": 6_890,
     "cli": 2_806,
     "design": 2_334,
-    "estimation": 4_758,
+    "estimation": 4_756,
     "files": 3_385,
     "formats": 3_513,
     "instruments": 1_579,

@@ -91,7 +91,7 @@ def rounding(fits: Fits) -> bool:
 def _zeros_found(result: CalibrationResult) -> list[Finding]:
     pairs = zip(_leg_parameters(result), result.calibration.shift, strict=True)
     moved = [parameter for parameter, shift in pairs if shift]
-    if not moved or result.options.rough:
+    if not moved:
         return []
     changes = tuple((p.id, p.change, p.unit) for p in moved)
     return [finding("zeros-found", parameters=[p.id for p in moved], changes=changes)]
@@ -218,11 +218,12 @@ def _implausible_changes(result: CalibrationResult) -> list[Finding]:
     moved = np.array([p.change for p in parameters]) - result.calibration.shift
     surely = (np.abs(moved) - half) / plausible  # more than its uncertainty
     far = parameters[int(np.argmax(surely))]
-    if surely.max() <= 1.0 or options.rough:
+    if surely.max() <= 1.0:
         return []
     values = {"parameter": far.id, "change": far.change, "unit": far.unit}
     unused = ["unknown-frame"] * (not options.setup.unknown_frame)
-    unused += ["unknown-target"] * (not options.setup.targets[ORIGIN].unknown)
+    known = not options.setup.targets[ORIGIN].unknown and len(options.setup.targets) == 1
+    unused += ["unknown-target"] * known
     return [finding("far-from-nominal", parameters=[far.id], options=tuple(unused), **values)]
 
 

@@ -246,10 +246,15 @@ class CalibrationResult:
     @property
     def corrects(self) -> bool:
         """Whether residuals fell by at least half, in standard deviations, or are noise."""
+        return self.excess == 1.0 or self.halves_residuals
+
+    @property
+    def halves_residuals(self) -> bool:
+        """Whether residuals fell by at least half, in standard deviations."""
         before, after = _whitened(self.legs)
         if np.abs(before).max(initial=0.0) <= _MISSED:  # poses made from readings: they close
             before, after = _whitened([*self.legs, *self.observed])
-        return self.excess == 1.0 or bool((after**2).sum() <= _FELL**2 * (before**2).sum())
+        return bool((after**2).sum() <= _FELL**2 * (before**2).sum())
 
     def leg(self, name: str) -> ResidualGroup:
         """Return the result of one leg by name."""

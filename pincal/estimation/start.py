@@ -17,7 +17,7 @@ from itertools import chain
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, MisfitError
 from pincal.estimation.noise import target_positions
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.relations import at_touch, touches
@@ -224,19 +224,17 @@ def check_start(problem: Problem, state: State) -> None:
 
     Raises:
         MeasurementError: the misfit is too large; the message says how large.
+        MisfitError: so it is, wherever frame and target are.
     """
     linear = poses_at_rest(problem.evaluate(state))
     size, setup = problem.size, problem.observation.setup
     worst = float(np.median(lengths(linear.conditions[:, np.array(problem.units) == "m"])))
     if worst > _CONTRADICTS * size:
-        options = {
-            "if the base is elsewhere in it: --unknown-frame": setup.unknown_frame,
-            "if the target is not the platform's origin: --unknown-target or --setup": (
-                setup.targets[ORIGIN].unknown
-            ),
-        }
-        unused = "; ".join(words for words, chosen in options.items() if not chosen)
-        raise MeasurementError(
+        known = not setup.targets[ORIGIN].unknown and len(setup.targets) == 1
+        hints = ["if the base is elsewhere in it: --unknown-frame"] * (not setup.unknown_frame)
+        hints += ["if the target is not the platform's origin: --unknown-target or --setup"] * known
+        unused = "; ".join(hints)
+        raise (MeasurementError if unused else MisfitError)(
             f"readings and measured positions contradict each other by {amount(worst, 'm')} in the "
             f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "
             "length). Check the units, the order and signs of the readings, and the frame"
