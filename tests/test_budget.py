@@ -16,7 +16,7 @@ LINES = {
     "": 268,
     "architectures": 625,
     "calibration": 6_890,
-    "cli": 2_806,
+    "cli": 2_799,
     "design": 2_334,
     "estimation": 4_756,
     "files": 3_385,

@@ -719,7 +719,7 @@ def test_check_tells_a_home_that_does_not_close(work: Path) -> None:
     edited("robot/mechanism.yaml", "shoulder: 1.047197551197", "shoulder: 0.95")()
     outcome = run("check", "robot")
     assert outcome.code == 0
-    assert "leg_1: home is rough, it closes within 0.25 m only" in " ".join(outcome.out.split())
+    assert "leg_1: home is rough: it closes only within 0.25 m" in " ".join(outcome.out.split())
 
 
 def test_identifiability_of_more_readings_than_freedoms() -> None:

@@ -233,8 +233,8 @@ def test_wrong_exports_are_refused_and_nothing_is_written(tmp_path: Path) -> Non
     before = contents(tmp_path)
     for words, message in [
         (("-o", tmp_path / "c.xml", "--original", poses), "leave out --original"),
-        (("-o", poses), "does not say what to write"),
-        (("-o", tmp_path / "c.txt"), "does not say what to write"),
+        (("-o", poses), "is not known; give it the ending"),
+        (("-o", tmp_path / "c.txt"), "is not known; give it the ending"),
     ]:
         outcome = run("export", tmp_path / "m", *words)
         assert outcome.code == 2

@@ -413,8 +413,8 @@ def test_what_grows_is_named_first_and_identified(place: str, size: float) -> No
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("leg_1.l=harmonics", "harmonics is of readings; lengths and angles follow a column"),
-        ("growth=gravity", "gravity loads each length otherwise"),
+        ("leg_1.l=harmonics", "harmonics is for readings; lengths and angles can follow a column"),
+        ("growth=gravity", "gravity loads each length differently"),
         ("leg_1.z=temperature", "its lengths and angles are leg_1.OA"),
     ],
 )

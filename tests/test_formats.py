@@ -395,7 +395,7 @@ def test_import_and_export_refuse_in_words(tmp_path: Path) -> None:
         (("import", table, "-o", out), "a table of measurements needs no import"),
         (("import", path, "-o", out, "--probed", far), "point 2 is out of reach"),
         (("export", "5R", "-o", tmp_path / "a.cfg"), "no linear delta"),
-        (("export", "linear_delta", "-o", out), "does not say what to write"),
+        (("export", "linear_delta", "-o", out), "is not known; give it the ending"),
         (("export", "linear_delta", "-o", path), "exists"),
     ]:
         outcome = run(*words)

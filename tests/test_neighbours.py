@@ -845,7 +845,9 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
     assert "has loops" in run("export", out, "-o", tmp_path / "new.urdf").trouble
     done("export", out, "-o", tmp_path / "new.xml")
     assert "exists" in run("export", out, "-o", tmp_path / "new.xml").trouble
-    assert "does not say what to write" in run("export", out, "-o", tmp_path / "new.txt").trouble
+    assert (
+        "is not known; give it the ending" in run("export", out, "-o", tmp_path / "new.txt").trouble
+    )
     original = ("--original", file)
     told = run("export", out, *original, "-o", tmp_path / "new.xml").trouble
     assert "leave out --original: not for the format" in told

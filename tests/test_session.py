@@ -299,7 +299,7 @@ def test_session_with_nobody_there_ends(
     pincal.files.table.write_table("plan.csv", columns_of(simulated.mechanism, plan))
     outcome = unattended(port, "1um", "--plan", "plan.csv")
     assert outcome.code == 1
-    assert f"{end}, and it is not enough" in outcome.err
+    assert f"{end}, but the accuracy is not reached" in outcome.err
     assert "rows in s/rows.csv" in outcome.out
 
 
@@ -337,14 +337,12 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     assert "there is no such row to undo" in resumed.err
     assert "r 99: the plan has poses 1 to" in resumed.err
     assert "more poses for 0.2 mm" in resumed.out
-    assert "warning: --accuracy was 0.0001 so far, and is now 0.0002" in resumed.err
+    assert "warning: --accuracy was 0.0001 so far and is now 0.0002" in resumed.err
     assert "noise" not in resumed.err
     moved = pincal.disturb("3RRR", 1e-3, seed=1)
     moved.save("moved")
     resumed = done(*command, "--plan", "other.csv")
-    assert (
-        f"poses are those of {Path('s', 'plan.csv')}, with which the session began" in resumed.err
-    )
+    assert f"the session goes on with the poses of {Path('s', 'plan.csv')}" in resumed.err
     refused = run("measure", "5R", "--session", "new", "--terminal", "--plan", "other.csv")
     assert refused.code == 2
     assert not Path("new").exists()

@@ -421,12 +421,12 @@ def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
         ("harmonics:x", "expected harmonics:1,2"),
         ("period:7", "(periods in a turn, up to 100,000), period:5mm"),
         ("leg_1=period:5mm", "'5mm': expected a number, with one of rad, mrad, deg"),
-        ("gravity", "measure columns load_leg_1 …, or say it in mechanism.yaml"),
+        ("gravity", "measure columns load_leg_1 …, or give them in mechanism.yaml"),
     ):
         outcome = run("explain", "3RRR", tmp_path / "d.csv", "--terms", term)
         assert outcome.code == 2
         assert words in " ".join(outcome.trouble.split())
-    with pytest.raises(MeasurementError, match="a period is to be given, such as leg_1=period:5mm"):
+    with pytest.raises(MeasurementError, match="give the period, such as leg_1=period:5mm"):
         pincal.calibrate("3RRR", data, terms=["leg_1=period"])
 
 

@@ -358,13 +358,13 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
     page = tmp_path / "view.html"
 
     outcome = done("view", "3RRR", tmp_path / "holes.csv", "-o", page)
-    lacking = f"{-(-count // 2)} of {count} rows hold no whole pose, the first is in line 2"
+    lacking = f"{-(-count // 2)} of {count} rows have no whole pose, the first is line 2"
     assert f"{lacking}, without phi" in outcome.err
     assert outcome.err.count("columns not used: humidity") == 1
     assert len(shown_poses(page)) == count // 2
     refused = run("view", "3RRR", tmp_path / "gone.csv", "-o", page, "--force")
     assert refused.code == 2
-    assert f"{count} of {count} rows hold no whole pose" in refused.err
+    assert f"{count} of {count} rows have no whole pose" in refused.err
     assert "RESULT in place of the measurements" in refused.err
 
     fit = ["--noise-position", 1e-5, "--folds", 0, "--no-report"]

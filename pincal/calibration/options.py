@@ -101,8 +101,8 @@ class Options:
 
     method: Method = option(
         "all-legs",
-        "All legs at once from every row, each pose an unknown of which any part, or none, was "
-        "measured; or each leg alone, poses as measured: the papers' divide and conquer.",
+        "Identify all legs together from every row, with poses as unknowns that may be measured in "
+        "part or not at all; or each leg alone at measured poses: the papers' divide and conquer.",
     )
     poses: Poses = option(
         "own", "With --method per-leg: for each leg the poses of its set (own), or all."

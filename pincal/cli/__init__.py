@@ -1,4 +1,4 @@
-"""What people type: the ``pincal`` command, its modules in the order in which help lists them."""
+"""The ``pincal`` command; modules are in the order in which help lists their commands."""
 
 import os
 from importlib import import_module

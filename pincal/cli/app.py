@@ -1,7 +1,7 @@
-"""The application, and what its commands share: consoles, options, progress, answers.
+"""The application, and the parts that its commands share: consoles, options, progress.
 
-A command says what it found on stdout, and what it does on stderr. ``--quiet`` is no matter of the
-commands: ``command`` gives them the option and turns the consoles down.
+A command prints its answer on stdout, and remarks on its work on stderr. Commands do not deal with
+``--quiet``: the decorator ``command`` adds the option and silences the consoles.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from pincal.cli.options import filled, option_parameters
 from pincal.errors import PincalError
 from pincal.files.text import sparing_inputs
 
-_WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
+_WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # width of tables in a file or pipe
 
 
 def plain(text: str) -> str:
-    """Return text for a terminal: control characters escaped, and no longer than can be read."""
+    """Return text for a terminal, with control characters escaped and long texts shortened."""
     shown = _CONTROL.sub(lambda match: ascii(match.group())[1:-1], text)
     if len(shown) <= _LONGEST:
         return shown
@@ -46,13 +46,13 @@ def plain(text: str) -> str:
 
 
 class _Console(Console):
-    """A console whose reader may leave, or whose disk may be full: the work goes on."""
+    """A console that lets the work go on if its reader leaves or its disk is full."""
 
     failure = ""
-    """Why the terminal, file or pipe took no more text; empty while all was printed."""
+    """Why the terminal, file or pipe took no more text; empty if all was printed."""
 
     def print(self, *objects: Any, **style: Any) -> None:
-        """Print; text comes from files too, and may hold anything."""
+        """Print objects; text may come from files and hold any characters."""
         shown = [plain(text) if isinstance(text, str) else text for text in objects]
         try:
             super().print(*shown, **style)
@@ -69,11 +69,11 @@ class _Console(Console):
 _PLAIN: dict[str, Any] = {"highlight": False, "markup": False, "emoji": False}
 stdout = _Console(width=_WIDTH, **_PLAIN)
 stderr = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # warnings and errors
-_remarks = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # all else that is no answer
+_remarks = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # everything else but the answer
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _LONGEST = 1300  # characters
-_REMIND = 30.0  # seconds after which what takes longer is said again, where no spinner turns
-logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it caches fonts matters to nobody
+_REMIND = 30.0  # seconds between progress lines without a spinner
+logging.getLogger("matplotlib").setLevel(logging.ERROR)  # nobody needs its remarks on font caches
 _typed: list[str] = []
 _TypedWrong: type[Exception] = typer.BadParameter.__mro__[2]  # click's, whose copy typer may have
 _NAMED = inspect.Parameter.KEYWORD_ONLY
@@ -107,10 +107,10 @@ _Quiet = Annotated[bool, typer.Option("--quiet", help="Print only warnings and e
 
 
 class _Command(TyperCommand):
-    """A command whose options take no other option as their value."""
+    """A command that refuses an option as the value of another option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse what was typed behind the command's name."""
+        """Parse the words behind the command's name."""
         options = (param for param in self.params if isinstance(param, TyperOption))
         valued = {name for option in options if not option.is_flag for name in option.opts}
         for option, value in pairwise(args):
@@ -148,7 +148,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def typed() -> str:
-    """Return the command line, to be typed again."""
+    """Return the command line as it can be typed again."""
     return shlex.join(["pincal", *_typed])
 
 
@@ -161,16 +161,16 @@ def run_step(*words: object) -> None:
 
 
 def say(*lines: object) -> None:
-    """Print parts of the answer; lines are not broken, however long: commands and paths."""
+    """Print parts of the answer; lines are never wrapped, as they hold commands and paths."""
     for line in lines:
         stdout.print(line, soft_wrap=isinstance(line, str))
 
 
 @contextmanager
 def working(text: str, total: int = 0) -> Iterator[Callable[[Any], None]]:
-    """Show what is being done: a spinner on a terminal, elsewhere a line now and then (stderr).
+    """Show progress: a spinner on a terminal, elsewhere a line every 30 s (stderr).
 
-    Yields a function that takes another text, or how much of a total is done.
+    Yields a function that takes another text, or the amount done of a total.
     """
     counted = f"{text}: {{}} of {total}" if total else "{}"
     if _remarks.is_terminal and not _remarks.quiet:
@@ -192,41 +192,41 @@ def working(text: str, total: int = 0) -> Iterator[Callable[[Any], None]]:
 
 
 def remark(text: str) -> None:
-    """Say what is done, or was found by the way (stderr)."""
+    """Print a remark on the work (stderr)."""
     _remarks.print(text)
 
 
 class _Remarks(logging.Handler):
-    """Says what the package logs, such as columns that are not used (stderr)."""
+    """Handler that prints what the package logs, such as columns that are not used (stderr)."""
 
     def emit(self, record: logging.LogRecord) -> None:
         remark(record.getMessage())
 
 
 def warn(*texts: str) -> None:
-    """Say what to know first (stderr), however quiet."""
+    """Print warnings (stderr), even if ``--quiet``."""
     for text in texts:
         stderr.print(f"warning: {text}", style="yellow")
 
 
 def fail(code: int, text: str = "") -> NoReturn:
-    """End a command that did its work with an exit code, and say why."""
+    """End a command that did its work with an exit code and a warning."""
     if text:
         warn(text)
     raise typer.Exit(code)
 
 
 def wrote(*paths: Path) -> None:
-    """Say which files were written."""
+    """Print remarks that name written files."""
     for path in paths:
         remark(f"wrote {path}")
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command line; it leaves by ``SystemExit``, with the exit code.
+    """Run the command line and raise ``SystemExit`` with the exit code.
 
-    0 done, 1 not converged, 2 wrong input, 3 no report, 4 the answer could not be printed. What
-    was typed behind ``pincal`` is that of the process if not given.
+    Codes are 0 done, 1 not converged, 2 wrong input, 3 no report, 4 the answer could not be
+    printed. ``argv`` are the words behind ``pincal``; those of the process by default.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
@@ -243,7 +243,7 @@ def main(argv: list[str] | None = None) -> None:
         if stdout.failure and not code:
             _leave(4, f"the answer could not be printed ({stdout.failure}); the work is done")
         sys.exit(code)
-    except _TypedWrong as error:  # made short, without the checker's own words
+    except _TypedWrong as error:  # shortened, without the prefix of the checker
         error.message = plain(str(error.message).removeprefix("Value error, "))  # type: ignore[attr-defined]
         error.show()  # type: ignore[attr-defined]
         sys.exit(error.exit_code)  # type: ignore[attr-defined]
@@ -259,8 +259,8 @@ def main(argv: list[str] | None = None) -> None:
     except np.linalg.LinAlgError as error:
         _leave(
             2,
-            f"numbers of sizes with which nothing can be computed ({error}): look for "
-            "values in the files and options that are far too large or too small",
+            f"numerical failure ({error}): look for values in the files and options that are far "
+            "too large or too small",
         )
 
 

@@ -1,4 +1,4 @@
-"""``pincal calibrate``, ``explain`` and ``doctor``: what measurements say of a mechanism."""
+"""``pincal calibrate``, ``explain`` and ``doctor``: calibration by measurements, and diagnosis."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from pincal.show.report import report
 
 @dataclass(frozen=True)
 class InputOptions(SetupOptions):
-    """What is known of the measurements."""
+    """Options on the measurements: setup, noise, columns."""
 
     noise_position: float | None = option(None, option_of(Noise, "position"))
     noise_orientation: float | None = option(None, option_of(Noise, "orientation"))
@@ -42,29 +42,29 @@ class InputOptions(SetupOptions):
     noise_pixel: float | None = option(None, option_of(Noise, "pixel"))
     pairs: Path | None = option(
         None,
-        "Distances between rows, by calliper: row a, row b, distance [mm].",
+        "Table of distances between rows, by calliper: row a, row b, distance [mm].",
         metavar="PAIRS.csv",
     )
 
     columns: tuple[str, ...] = option(
         (),
-        "A column of another program and what it is here: 'Actuator 1=leg_1', '…=leg_1 [mm]'.",
+        "Rename a column of another program: 'Actuator 1=leg_1', '…=leg_1 [mm]'.",
         metavar="HEADER=NAME",
     )
 
     def read_setup(self) -> Setup:
-        """Return the setup, with the columns that were typed."""
+        """Return the setup with the renamed columns of the command line."""
         setup = super().read_setup()
         pairs = [text.rpartition("=") for text in self.columns]
         headers = {header.strip(): name.strip() for header, _, name in pairs}
         return replace(setup, headers={**setup.headers, **headers})
 
     def table(self, path: Path) -> Path | TextTable:
-        """Return a file of measurements, or its table with the distances of pairs."""
+        """Return the path of measurements, or their table with the distances of ``--pairs``."""
         return path if self.pairs is None else with_pairs(path, self.pairs)
 
     def calibration(self, mech: str, path: Path, options: Options) -> Calibration:
-        """Return the calibration to be done, by measurements in a file."""
+        """Return the calibration that the options ask for, by measurements in a file."""
         options = replace(options, setup=self.read_setup())
         calibration = prepared(mech, self.table(path), options)
         data = calibration.measurements
@@ -72,7 +72,7 @@ class InputOptions(SetupOptions):
         return replace(calibration, options=replace(calibration.options, noise=noise))
 
     def noise_of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
-        """Return the noise given, None if none was; a tracker says itself how well it measures."""
+        """Return the noise of the options, None without any; a tracker has its own noise."""
         sigmas = {"m": self.noise_position, "rad": self.noise_orientation, "": self.noise_reading}
         sigmas |= {"px": self.noise_pixel}
         if set(sigmas.values()) == {None}:
@@ -89,18 +89,17 @@ class InputOptions(SetupOptions):
             names = {"m": "position", "rad": "orientation", "px": "pixel"}
             raise MeasurementError(
                 f"give {' and '.join(f'--noise-{names[unit]}' for unit in sorted(measured))} "
-                "with the other "
-                "noise options, or none of them (the scale is then estimated)"
+                "with the other noise options, or none of them (the noise is then estimated)"
             )
         position, orientation, reading, pixel = (sigma or 0.0 for sigma in sigmas.values())
-        return Noise(position, orientation, reading, pixel or Noise.pixel)  # nobody sees by 0 px
+        return Noise(position, orientation, reading, pixel or Noise.pixel)  # 0 px is impossible
 
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """What is checked, written and printed of a calibration."""
+    """Options on checks and output of a calibration."""
 
-    by: By = option("region", "What is held out together: regions, rows in turn, or runs.")
+    by: By = option("region", "Rows that are held out together: regions, rows in turn, or runs.")
     workspace: Path | None = option(
         None, "Poses over which errors are stated [default: the whole workspace].", metavar="CSV"
     )
@@ -120,7 +119,7 @@ def calibrate(
 ) -> None:
     """Identify the parameters from measurements.
 
-    All legs are identified at once; each pose is an unknown that may be measured in full, in part
+    All legs are identified together; each pose is an unknown that may be measured in full, in part
     or not at all (empty cells, no columns). Noise that is not given is estimated from repeated
     rows, or else from the residuals. RESULT holds report.html, result.json, residuals.csv and the
     calibrated mechanism; every command takes it as MECH. Exit codes: 1 if the fit does not converge
@@ -151,7 +150,7 @@ def calibrate(
             if running.report:
                 progress("drawing the report")
                 page.save(output / REPORT)
-        except Exception as error:  # whatever it is, the result is written and stays
+        except Exception as error:  # no fault of the report may lose the result
             undrawn = f"{type(error).__name__}: {error}"
     line, style = answers.verdict(result, errors)
     stdout.print(line, style=style)
@@ -181,7 +180,7 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
     Each reading is tested for harmonics of its angle, an unknown period, polynomials, backlash,
     gravity (in space), pulleys of cables and every other column of numbers; lengths for such
     columns, one by one and all together; links for gravity. Models are compared on held-out poses.
-    --terms says which kinds to try.
+    --terms chooses the kinds to try.
     """
     if options.folds < 2:
         raise MeasurementError("--folds: expected 2 or more: models are compared on held-out rows")
@@ -203,15 +202,15 @@ def again(
     measured: tuple[Path, Path] | None = None,
     dropped: Sequence[Field[Any]] = (),
 ) -> str:
-    """Return what was typed as another command, with further words, without what it has not.
+    """Return the typed words as another command, with added words, without options it has not.
 
-    Measured is a file of measurements, and that in place of it; dropped are further options.
+    ``measured`` is the typed file of measurements and its replacement; ``dropped`` are left out.
     """
     groups = {"explain": (CalibrateOptions,), "doctor": (CalibrateOptions, Options)}
     dropped = [*dropped, *(field for kind in groups.get(command, ()) for field in fields(kind))]
     flags = {typed_name(f): isinstance(f.default, bool) for f in dropped if "option" in f.metadata}
     flags |= {"quiet": True, "force": True}
-    if command == "explain" or "--terms" in added:  # those that were tried
+    if command == "explain" or "--terms" in added:  # instead of the terms that were tried
         flags["terms"] = False
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("-o", "--output")
@@ -238,7 +237,7 @@ def doctor(
 
     Units, signs, column order, zeros, frames, shifted logs and bad rows are corrected one at a
     time, the likeliest first, each tested by a full calibration, until one converges and nothing
-    contradicts it, held-out rows included. Other numeric columns are copied to CORRECTED.csv. The
+    contradicts it, not even held-out rows. Other numeric columns are copied to CORRECTED.csv. The
     exit code is 1 if nothing works, or if several corrections work equally well.
     """
     mechanism, setup = load_mechanism(mech), known.read_setup()
@@ -261,8 +260,8 @@ def doctor(
     short = [(count, least) for _, count, _, least in tries[0].calibration.short_legs()]
     if cures:
         stdout.print(
-            f"{len(cures)} of these work equally well, and the measurements cannot decide: "
-            "inspect the machine, and correct the cause"
+            f"{len(cures)} of these work equally well, and the measurements cannot decide between "
+            "them: inspect the machine, and correct the cause"
         )
     elif short:
         lacking, advised = (max(n * least - count for count, least in short) for n in (1, 2))
@@ -281,7 +280,7 @@ def _say_cure(
     cure: Remedy, known: InputOptions, measurements: Path, output: Path | None, *, force: bool
 ) -> None:
     lines, corrected = list[str](), None
-    if any(fault.code != "unknown-frame" for fault in cure.findings):  # options do not do it
+    if any(fault.code != "unknown-frame" for fault in cure.findings):  # options cannot correct it
         corrected = (measurements, output or Path("CORRECTED.csv"))
         if output is None:
             lines.append(f"{typed()} -o CORRECTED.csv")

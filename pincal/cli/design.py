@@ -1,4 +1,4 @@
-"""``pincal select``, ``identifiability`` and ``simulate``: measurements before they are made."""
+"""``pincal select``, ``identifiability`` and ``simulate``: planning of measurements."""
 
 from __future__ import annotations
 
@@ -53,16 +53,16 @@ from pincal.option import Option, option
 from pincal.show import explanation, tables
 from pincal.words.numbers import Units, amount
 
-_FORECAST = 50  # poses, where no plan is given
+_FORECAST = 50  # number of poses without a plan
 
 
 @dataclass(frozen=True)
 class SelectOptions(TableOptions, PlanOptions, PlanningOptions):
-    """How poses are chosen, and what is written."""
+    """Options on the choice of poses, and on output."""
 
     sheet: Path | None = option(
         None,
-        "Also a sheet to fill in, .xlsx or .csv: what to drive to, cells for what to measure.",
+        "Also write a sheet to fill in, .xlsx or .csv: set points, and cells for measurements.",
         metavar="SHEET.xlsx",
     )
     force: bool = option(False, FORCE)
@@ -82,19 +82,19 @@ def select(
     symmetric if the mechanism allows it, otherwise independent.
 
     If only part of the pose is measured (--measure), or in a tracker's own frame, COUNT poses are
-    chosen for all parameters together by what 'pincal calibrate' will draw from them; so are the
-    configurations of serial arms, with the readings to drive to. With --goal platform they make the
-    calibrated platform most accurate over the workspace, even if single parameters are less
-    certain.
+    chosen for all parameters together, by the information that 'pincal calibrate' will draw from
+    them; so are the configurations of serial arms, with the readings to drive to. With --goal
+    platform they make the calibrated platform most accurate over the workspace, even if single
+    parameters are less certain.
 
-    Rows are in the order to drive: in rounds, each over a random share of every set by a short way,
-    with the middle pose, 'reference' in the column 'pose', between, so that drift is seen and is no
-    error of one leg. Columns 'planned_leg_1' … are set points of the drives, in --units (counts,
-    steps: counts_per_unit of the sensors). --verify adds poses reserved for verification (set
-    'verify'). --distances N measures N distances to other poses from each pose, instead of
-    positions (columns 'distance_1_to' …).
+    Rows are in driving order: in rounds, each over a random share of every set by a short way.
+    Between rounds the middle pose is repeated ('reference' in the column 'pose'), so that drift is
+    seen and does not become an error of one leg. Columns 'planned_leg_1' … are set points of the
+    drives, in --units (counts, steps: counts_per_unit of the sensors). --verify adds poses for
+    verification (set 'verify'). --distances N plans N distances from each pose to others, instead
+    of positions (columns 'distance_1_to' …).
 
-    --box, --floor, --keep-out, --clearance and --margin-tension say where poses may lie.
+    --box, --floor, --keep-out, --clearance and --margin-tension restrict the poses.
     """
     mechanism, setup = pincal.load_mechanism(mech), options.read_setup()
     units, sheet = options.written_in(mechanism), options.sheet
@@ -133,24 +133,24 @@ def identifiability(
     options: PlanOptions,
     noise: Noise,
     plan: Annotated[
-        Path | None, typer.Argument(metavar="PLAN.csv", help="Poses to measure; else 50 at random.")
+        Path | None, typer.Argument(metavar="PLAN.csv", help="Poses to measure [50 at random].")
     ] = None,
     accuracy: Annotated[
         float | None,
         offered(
             "accuracy",
-            Option("Wanted root mean square position error over the workspace [m].", unit="m"),
+            Option("Required RMS position error over the workspace [m].", unit="m"),
         ),
     ] = None,
 ) -> None:
     """Predict what measurements will determine.
 
-    Prints the rank, what cannot be determined, the standard error of each parameter that 'pincal
+    Prints the rank, undetermined parameters, the standard error of each parameter that 'pincal
     calibrate' will attain (the Cramér-Rao bound), and the platform error over the workspace; with
-    --accuracy also how many poses that takes.
+    --accuracy also the number of poses for it.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
-    --unknown-target or --setup say otherwise.
+    --unknown-target or --setup are given.
     """
     mechanism = pincal.load_mechanism(mech)
     setup = options.read_setup()
@@ -182,7 +182,7 @@ def identifiability(
 
 @dataclass(frozen=True)
 class SimulateOptions(TableOptions):
-    """What is simulated."""
+    """Options of a simulated machine."""
 
     disturb: float | None = option(
         None,
@@ -191,17 +191,16 @@ class SimulateOptions(TableOptions):
     )
     seed: int = option(0, SEED)
     setup_file: Path | None = option(
-        None, "What is touched or seen: contacts, cameras.", name="setup", metavar="YAML"
+        None, "Measurement setup: contacts, cameras.", name="setup", metavar="YAML"
     )
     truth: Path | None = option(
         None,
-        "Folder for the true mechanism. Without --disturb, if it exists, it is the truth.",
+        "Folder for the true mechanism. If it exists, it is read, unless --disturb is given.",
         metavar="TRUE_MECH",
     )
     serve: int | None = option(
         None,
-        "Answer as a machine on this port of this machine, for 'pincal measure --tcp'; 0: a free "
-        "one.",
+        "Simulate a machine on this local port, for 'pincal measure --tcp'; 0: a free port.",
         metavar="PORT",
         least=0,
         most=65535,
@@ -213,10 +212,10 @@ class SimulateOptions(TableOptions):
 def _true_mechanism(
     mechanism: Mechanism, options: SimulateOptions, rng: np.random.Generator
 ) -> tuple[Mechanism, bool]:
-    """Return the true mechanism, and whether it was made.
+    """Return the true mechanism, and whether it is new rather than read from a folder.
 
     Raises:
-        FileError: that of a folder is another machine.
+        FileError: the folder has another machine.
     """
     truth = options.truth
     if truth is None or options.disturb is not None or not truth.is_dir():
@@ -248,8 +247,8 @@ def simulate(
 
     The nominal mechanism commands the poses, the true one moves. A machine with more legs than
     degrees of freedom is placed at the poses themselves. Poses that the true mechanism cannot reach
-    are left out and named. What cameras of the setup see is written to its corners. With --serve it
-    is the machine beside which 'pincal measure' works.
+    are left out and named. Points that cameras of the setup see are written to its table of
+    corners. With --serve the command simulates a machine for 'pincal measure'.
     """
     if options.serve is None and (plan is None or output is None):
         raise typer.BadParameter("give PLAN.csv and -o MEASUREMENTS.csv, or --serve PORT")
@@ -297,7 +296,7 @@ def _write_simulated(
 
 
 def _say_unreached(planned: Plan, simulation: Simulation) -> None:
-    """Say which rows of a plan were not measured, and why."""
+    """Print which rows of a plan were not measured, and why."""
     for reason in dict.fromkeys(reason for _, reason in simulation.unreachable):
         places = [planned.place(row) for row, why in simulation.unreachable if why == reason]
         remark(f"not measured, {reason}: {listed(places)} of the plan")

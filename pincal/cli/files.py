@@ -36,7 +36,7 @@ from pincal.option import option
 from pincal.show.report import mechanism_lines
 
 PROBING = "probing.csv"
-_LARGE, _ROWS = 20.0, 1000  # size that is doubted [m]; rows over the workspace
+_LARGE = 20.0  # size of a leg that is doubted, [m]
 InputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "marlin"]
 #: Formats by the ending of a file.
 INPUTS: dict[str, InputFormat] = {
@@ -48,7 +48,7 @@ INPUTS: dict[str, InputFormat] = {
     ".xml": "mjcf",
     ".mjcf": "mjcf",
 }
-#: What a file is that must become another one before it is read.
+#: Suffixes of files that must be converted first, with what they are.
 _TO_CONVERT = {
     ".sdf": "SDF, which is not read; import the URDF that it was made from, or make one (sdf2urdf "
     "of sdformat_tools)",
@@ -59,20 +59,20 @@ _TREES = ("urdf", "mjcf")  # formats of any mechanism; the others are printers'
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the file does not say itself."""
+    """Options on facts that the file does not contain."""
 
     format: InputFormat | None = option(
         None, "Format of FILE, if its ending (.urdf, .xml, .cfg, .g) does not tell."
     )
     loops: Path | None = option(
         None,
-        "What closes the loops of a URDF (closed_loop, type, name_mot); FILE with the ending "
-        ".yaml, or robot.yaml beside it, or the URDF itself, if not given.",
+        "File that closes the loops of a URDF (closed_loop, type, name_mot) [default: FILE with "
+        "the ending .yaml, or robot.yaml beside it, or the URDF itself].",
         metavar="YAML",
     )
     platform: str | None = option(
         None,
-        "Link whose frame is the platform's; the one where the legs meet, if not given.",
+        "Link whose frame is the platform's [default: the link where the legs meet].",
         metavar="LINK",
     )
     tip: str | None = option(None, "Link of a serial arm whose frame is measured.", metavar="LINK")
@@ -81,7 +81,7 @@ class ImportOptions:
     )
     probed: Path | None = option(
         None,
-        "x, y, z of the nozzle, as the printer's firmware believed, where it touched the bed.",
+        "Positions x, y, z of the nozzle, by the printer's firmware, where it touched the bed.",
         metavar="POINTS.csv",
     )
     force: bool = option(False, FORCE)
@@ -98,8 +98,8 @@ def import_(
     """Read URDF, MJCF, printer.cfg, config.g.
 
     Converts a URDF whose loops a YAML file closes (as in example-parallel-robots), or MJCF with
-    connect, weld and actuators, into a mechanism folder: finds legs, platform and drives, and gives
-    each joint's place on its link parameters. With --tip: a serial arm.
+    connect, weld and actuators, into a mechanism folder: finds legs, platform and drives, and makes
+    each joint's place on its link a set of parameters. With --tip: a serial arm.
 
     Converts a delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware or Marlin, too.
     Heights saved by DELTA_CALIBRATE, or points given by --probed, are written to probing.csv;
@@ -116,7 +116,7 @@ def import_(
     form = options.format or INPUTS.get(suffix)
     if form is None:
         raise FileError(
-            f"{file} does not say whose file it is; expected the ending {', '.join(INPUTS)}, or "
+            f"the format of {file} is not known; expected the ending {', '.join(INPUTS)}, or "
             "--format (a table of measurements needs no import: see 'pincal calibrate')"
         )
     foreign = ("probed",) if form in _TREES else ("loops", "platform", "tip", "base")
@@ -131,7 +131,7 @@ def import_(
 def _import_printer(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> Sequence[str]:
-    """Write the mechanism of a delta printer to a folder, with the points that it probed."""
+    """Write the mechanism of a delta printer to a folder, with its probed points."""
     if form == "klipper":
         printer, probing = firmware.read_klipper(file)
     else:
@@ -145,8 +145,8 @@ def _import_printer(
         probing = Measurements(poses=poses, readings=solution.readings)
         if lost := np.flatnonzero(~solution.reached.all(axis=1)).tolist():
             raise MeasurementError(
-                f"{options.probed}: point {lost[0] + 1} is {solution.reason(lost[0])}, so the "
-                "firmware cannot have believed it to be there"
+                f"{options.probed}: point {lost[0] + 1} is {solution.reason(lost[0])} by the "
+                "firmware's parameters; give points as the firmware computed them"
             )
     with writing(output, force=options.force, folder=(*MECHANISM_FILES, PROBING)) as scratch:
         write_mechanism(mechanism, scratch)
@@ -163,7 +163,7 @@ def _import_printer(
 def _import_tree(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> Sequence[str]:
-    """Write the mechanism of a URDF or MJCF file to a folder, and say what was understood."""
+    """Write the mechanism of a URDF or MJCF file to a folder, print it, and return remarks."""
     alone = form == "mjcf" or options.tip is not None
     yaml = options.loops or (None if alone else users_urdf.loops_beside(file))
     tree = mjcf.read_mjcf(file) if form == "mjcf" else users_urdf.read_loops(file, yaml)
@@ -191,7 +191,7 @@ def export(
     output: Annotated[
         Path,
         output_option(
-            "FILE", "By its ending: .urdf, .xml (MJCF), .cfg (Klipper), .g (M665 and M666)."
+            "FILE", "Format by ending: .urdf, .xml (MJCF), .cfg (Klipper), .g (M665 and M666)."
         ),
     ],
     original: Annotated[
@@ -203,20 +203,20 @@ def export(
     """Write URDF, MJCF or printer configurations.
 
     With --original, FILE is a copy of that URDF in which only the origins of calibrated joints
-    differ. Without it, MJCF (.xml) holds the kinematics of any mechanism, URDF (.urdf) those of an
-    arm.
+    differ. Without it, MJCF (.xml) holds the kinematics of any mechanism, URDF (.urdf) only of
+    arms.
 
     For a delta printer, FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
     RepRapFirmware (.g). What the format cannot hold is reported. MECH may be a result of 'pincal
     calibrate'; URDFs of its legs are in its folder 'mechanism'.
 
-    These formats cannot hold terms of sensors, lengths and angles; readings of your poses by
-    'pincal inverse' can, and the kinematics that 'pincal deploy' writes.
+    These formats cannot hold terms of sensors, lengths and angles. 'pincal inverse' applies them to
+    the readings of your poses, and so do the kinematics that 'pincal deploy' writes.
     """
     form = INPUTS.get(output.suffix.lower())
     if form is None:
         raise MechanismError(
-            f"{output.name!r} does not say what to write; give it the ending .urdf, .xml (MJCF), "
+            f"the format of {output.name!r} is not known; give it the ending .urdf, .xml (MJCF), "
             ".cfg (Klipper) or .g (RepRapFirmware)"
         )
     if original is not None and form != "urdf":
@@ -234,17 +234,17 @@ def export(
 def _exported(
     mechanism: Mechanism, form: str, original: Path | None
 ) -> tuple[bytes, Sequence[str]]:
-    """Return the file of a mechanism in another form, and what to know of it."""
+    """Return the contents of a mechanism's file in a format, and remarks on what it lacks."""
     if original is not None:
         data = users_urdf.calibrated_urdf(original, mechanism)
         lines = set(read_bytes(original, LARGEST_FILE["XML"], MechanismError).splitlines())
         changed = sum(line not in lines for line in data.splitlines())
-        remark(f"{changed} lines are other than in {original}")
+        remark(f"{changed} lines differ from {original}")
         return data, mjcf.unwritten(mechanism)
     if form == "urdf" and not (len(mechanism.legs) == 1 and mechanism.legs[0].is_arm):
         raise MechanismError(
-            f"{mechanism.name!r} has loops, which a URDF has no place for: write MJCF (.xml), or "
-            "give your own URDF (--original); each leg's URDF is in its folder"
+            f"{mechanism.name!r} has loops, which URDF cannot hold: write MJCF (.xml), or give "
+            "your own URDF (--original); each leg's URDF is in its folder"
         )
     if form in _TREES:
         text = mjcf.mjcf(mechanism) if form == "mjcf" else leg_urdf(mechanism.legs[0])

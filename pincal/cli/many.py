@@ -1,4 +1,4 @@
-"""``pincal montecarlo``, ``batch``, ``history``: many machines, and one over months."""
+"""``pincal montecarlo``, ``batch``, ``history``: many machines, and one machine over months."""
 
 from __future__ import annotations
 
@@ -36,29 +36,29 @@ from pincal.show.many import (
 from pincal.words.numbers import amount
 
 _Rows = Annotated[
-    Path, output_option("TABLE", "Table with a row of each machine, .csv or .parquet.")
+    Path, output_option("TABLE", "Table with a row for each machine, .csv or .parquet.")
 ]
 _WORKSPACE = Option(
-    "Poses over which errors are stated [default: 200 of the workspace].", metavar="CSV"
+    "Poses over which errors are stated [default: 200 in the workspace].", metavar="CSV"
 )
 
 
 @contextmanager
 def _growing(table: Path) -> Iterator[Callable[[str], None]]:
-    """Show how a table grows; Ctrl-C says how to go on."""
+    """Show the progress of a table; on Ctrl-C print the command that continues it."""
     try:
         with working("calibrating machines") as progress:
             yield progress
     except KeyboardInterrupt:
-        fail(130, f"stopped; {table} keeps what is done. To go on: {typed()}")
+        fail(130, f"stopped; {table} keeps the machines done. To continue: {typed()}")
     wrote(table)
 
 
 @dataclass(frozen=True)
 class MachinesOptions(Workers, PlanOptions):
-    """Which machines are drawn, and what is looked at."""
+    """Options on the machines drawn, and on their errors."""
 
-    machines: int = option(1000, "How many machines are drawn.", least=1)
+    machines: int = option(1000, "Number of machines that are drawn.", least=1)
     workspace: Path | None = option(None, _WORKSPACE)
 
 
@@ -73,19 +73,19 @@ def montecarlo_(
 ) -> None:
     """Predict the accuracy that tolerances will give.
 
-    Machines are drawn (--tolerance, --priors), measured along the plan with noise, and calibrated
-    as 'pincal calibrate' does it with the same options. Printed are the errors of the platform over
-    the workspace before and after, and which tolerance makes them.
+    Machines are drawn at random (--tolerance, --priors), measured along the plan with noise, and
+    calibrated as by 'pincal calibrate' with the same options. Prints the errors of the platform
+    over the workspace before and after, and the share of each tolerance in them.
 
-    The table grows while it is made, and is the same however many workers make it: the same command
-    goes on where it ended. Without --tolerance, parameters differ by 0.001 of the machine's size,
-    or 0.001.
+    The table grows row by row and does not depend on the number of workers: after a stop the same
+    command continues. Without --tolerance, standard deviations are 0.001 of the machine's size for
+    lengths, 0.001 otherwise.
     """
     mechanism, setup = load_mechanism(mech), drawn.read_setup()
     options = replace(options, setup=setup, priors=options.priors_of(mechanism.parameters))
     if not options.priors_by_name(mechanism):
         size = amount(ERROR * mechanism.size, "m").replace(" ", "")
-        warn(f"no --tolerance: machines are drawn as by --tolerance {size},1mrad,0.001")
+        warn(f"no --tolerance: machines are drawn with --tolerance {size},1mrad,0.001")
     planned = read_poses(plan, mechanism, setup=setup)
     with _growing(output) as progress:
         study = montecarlo(
@@ -111,12 +111,12 @@ def montecarlo_(
 
 @dataclass(frozen=True)
 class BatchOptions(Workers):
-    """What is made of each file, and by whom."""
+    """Options on the calibration of each file, and on workers."""
 
-    by: By = option("region", "What is held out together: regions, rows in turn, or runs.")
+    by: By = option("region", "Rows that are held out together: regions, rows in turn, or runs.")
     workspace: Path | None = option(None, _WORKSPACE)
     results: Path | None = option(
-        None, "Folder for a result of each machine, as 'pincal calibrate' writes it."
+        None, "Folder for the result of each machine, as 'pincal calibrate' writes it."
     )
 
 
@@ -129,7 +129,7 @@ def _row(
     workspace: Plan | None,
     *file: str,
 ) -> Row:
-    """Return the row of a file, by its name in a folder."""
+    """Calibrate by a file, named in a folder, and return its row of the table."""
     result, *_ = run(known.calibration(mech, folder / file[0], options), options.folds, running.by)
     if running.results is not None:
         running.results.mkdir(parents=True, exist_ok=True)
@@ -141,7 +141,7 @@ def _row(
 def batch(
     mech: Mech,
     folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="A CSV or .xlsx of each machine.")
+        Path, typer.Argument(metavar="FOLDER", help="Folder with a CSV or .xlsx of each machine.")
     ],
     output: _Rows,
     options: Options,
@@ -150,15 +150,15 @@ def batch(
 ) -> None:
     """Calibrate many machines, each from its table.
 
-    All of one mechanism: the table has a row of each file with verdict, accuracy, χ² and
-    parameters, or why it has no result. Machines whose parameters lie outside the control limits of
-    the others are named. The table grows: files that are added later are done by the same command,
-    those that changed again. Exit code 1 if a machine has no result, or a bad one.
+    All machines are of one mechanism. TABLE has a row for each file with verdict, accuracy, χ² and
+    parameters, or the reason why there is no result. Machines with parameters outside the control
+    limits of the others are named. The same command adds rows for new and changed files later. Exit
+    code 1 if a machine has no result, or a bad one.
     """
     mechanism = load_mechanism(mech)
     files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".csv", ".xlsx"))
     if not (files := [path for path in files if path.resolve() != output.resolve()]):
-        raise FileError(f"{folder} has no tables; expected a .csv or .xlsx of each machine")
+        raise FileError(f"{folder} has no tables; expected a .csv or .xlsx for each machine")
     items = [(path.name, sha256(path.read_bytes()).hexdigest()[:12]) for path in files]
     over = running.workspace
     poses = None if over is None else read_poses(over, mechanism)
@@ -190,15 +190,15 @@ def history(
     ] = None,
     accuracy: Annotated[
         float | None,
-        offered("accuracy", Option("Root mean square error to stay within.", unit="m rad")),
+        offered("accuracy", Option("Largest RMS error allowed.", unit="m rad")),
     ] = None,
     force: Force = False,
 ) -> None:
     """See what changed on a machine over months.
 
     Its calibrations, dated by their folders' names (2026-03-31), are compared by the joint
-    covariance of their parameters: what changed is named, and what would explain it as well. With
-    --accuracy: until when the drift leaves the machine within it. Exit code 1 if it changed.
+    covariance of their parameters: changed parameters are named, with those that explain a change
+    equally well. With --accuracy: when the drift will exceed it. Exit code 1 if it changed.
     """
     page = HistoryPage(history_of(results), accuracy)
     say(*page.lines)

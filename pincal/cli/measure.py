@@ -1,8 +1,8 @@
 """``pincal measure``: a session beside the robot; and the machine of ``pincal simulate --serve``.
 
-A line of JSON says which readings to drive to (``{"leg_1 [mm]": 812.4, …}``), as ``--tcp`` sends
-it; a line says what was measured there. A person, a file that grows and a machine are alike in
-that: each gives one line a pose.
+``--tcp`` sends set points as a line of JSON (``{"leg_1 [mm]": 812.4, …}``), and receives the
+measurements there as a line. A person, a growing file and a machine are treated alike: each gives
+one line per pose.
 """
 
 from __future__ import annotations
@@ -40,46 +40,46 @@ from pincal.show.measuring import obeyed, progress, responding, set_points
 from pincal.show.view.view import PageServer
 from pincal.words.numbers import Units, percent
 
-_CANDIDATES = 500  # poses, where no plan is given
+_CANDIDATES = 500  # number of poses without a plan
 _IN_JSON: dict[type, Any] = {float: (float, int), Path: str}
-_PATIENCE = 5.0  # seconds in which an instrument must take the call
-_OFF = 10  # rows in a row off, after which a source is asked no more
-_WAIT = 0.2  # seconds between two looks at a file that grows
-_SLIP = 10.0  # standard deviations
+_PATIENCE = 5.0  # seconds in which an instrument must accept the connection
+_OFF = 10  # successive rows that are off, after which a source is not asked again
+_WAIT = 0.2  # seconds between two looks at a growing file
+_SLIP = 10.0  # size of a simulated slip, in standard deviations
 _HELP = (
-    "enter what was measured, in the columns' order; readings that are left out are those "
+    "enter the measurements, in the order of the columns; readings left out are taken as "
     "commanded. u: undo the last row, u 3: row 3; s: skip this pose; r 12: go to pose 12 of the "
-    "plan; p: parameters; q: quit ('pincal measure MECH --session FOLDER' goes on)"
+    "plan; p: parameters; q: quit ('pincal measure MECH --session FOLDER' continues)"
 )
 Ask = Callable[[dict[str, float]], str]
-"""Returns the line that a source gives at set points."""
+"""Function that sends set points to a source and returns its line."""
 
 
 @dataclass(frozen=True)
 class SourceOptions:
-    """Where poses and measurements come from, and where they are shown."""
+    """Options on the sources of poses and measurements, and on the page."""
 
     plan: Path | None = option(
         None,
-        "Poses to choose from, of 'pincal select'; else 500 are sampled from the workspace.",
+        "Poses to choose from, by 'pincal select' [default: 500 samples of the workspace].",
         metavar="PLAN.csv",
     )
     terminal: bool = option(False, "Stay in the terminal, without a page.")
     open: bool = option(True, "Print the address without opening a browser.")
-    follow: Path | None = option(None, "Take each line that a file grows by.", metavar="FILE")
+    follow: Path | None = option(None, "Read each line appended to a file.", metavar="FILE")
     tcp: str | None = option(
-        None, "Send set points as a line of JSON, take the line that answers.", metavar="HOST:PORT"
+        None, "Send set points as a line of JSON, and read a line in answer.", metavar="HOST:PORT"
     )
     pattern: str | None = option(
         None,
-        "What was measured is in the groups of this expression, by name or in order.",
+        "Regular expression whose groups are the measurements, by name or in order.",
         metavar="REGEX",
     )
 
 
 @dataclass(frozen=True)
 class MeasuredOptions(TableOptions, PlanOptions):
-    """What is measured, and in which units it is written."""
+    """Options on the measured quantities, and on units of output."""
 
 
 @command
@@ -93,11 +93,11 @@ def measure(
 ) -> None:
     """Measure with the robot beside you.
 
-    Says which pose to drive to, takes what was measured there, checks it at once, and says what
-    error to expect and how many more poses it takes to --accuracy. FOLDER holds the plan, the
-    options and rows.csv, which 'pincal calibrate' reads; every row is on disk before it is shown.
-    Stopped at any moment, the session goes on by 'pincal measure MECH --session FOLDER'. On a page
-    that is served to this machine alone, until Ctrl-C, or in the terminal.
+    Names the pose to drive to, takes the measurements there, checks them at once, and prints the
+    expected error and the number of further poses to --accuracy. FOLDER holds the plan, the options
+    and rows.csv, which 'pincal calibrate' reads; every row is on disk before it is shown. After any
+    stop, 'pincal measure MECH --session FOLDER' continues the session. It runs in the terminal, or
+    on a page that is served to this machine alone, until Ctrl-C.
     """
     mechanism, path = pincal.load_mechanism(mech), session / "plan.csv"
     groups = session_options, options, noise
@@ -111,7 +111,7 @@ def measure(
                 plan = read_poses(source.plan, mechanism, setup=setup)
             write_table(path, columns_of(mechanism, plan))
         elif source.plan is not None:
-            remark(f"poses are those of {path}, with which the session began")
+            remark(f"--plan is not read: the session goes on with the poses of {path}")
         noise = with_reading_noise(noise, mechanism)
         words = ["pincal", "calibrate", mech, str(session / "rows.csv")]
         words += ["--setup", str(options.setup_file)] * (options.setup_file is not None)
@@ -150,10 +150,10 @@ def measure(
 
 @contextmanager
 def _remembered(folder: Path, mechanism: Mechanism, *groups: Any) -> Iterator[Any]:
-    """Yield options as typed, else as a session's folder has them; at the end it has these.
+    """Yield options as typed, else as stored in a session's folder; store them at the end.
 
     Raises:
-        FileError: the session is of another machine; options cannot be read or written.
+        FileError: the session is of another machine, or options cannot be read or written.
     """
     path = folder / "options.json"
     with ExitStack() as undo:
@@ -174,7 +174,7 @@ def _remembered(folder: Path, mechanism: Mechanism, *groups: Any) -> Iterator[An
 
 
 def _as_stored(group: Any, known: dict[str, Any]) -> Any:
-    """Return options as typed, else as they are known; what is typed is known from then on."""
+    """Return options as typed, else as known; add the typed ones to the known ones."""
     default, stored = type(group)(), {}
     columns = [column for column in fields(group) if "option" in column.metadata]
     for column, parameter in zip(columns, option_parameters(type(group)), strict=True):
@@ -182,7 +182,7 @@ def _as_stored(group: Any, known: dict[str, Any]) -> Any:
         if value != getattr(default, name):
             value = str(value.absolute()) if isinstance(value, Path) else value
             if (former := known.get(name, value)) != value:
-                warn(f"--{typed_name(column)} was {former} so far, and is now {value}")
+                warn(f"--{typed_name(column)} was {former} so far and is now {value}")
             known[name] = value
         if name in known:
             kinds = get_args(parameter.annotation.__origin__ | None)
@@ -193,22 +193,22 @@ def _as_stored(group: Any, known: dict[str, Any]) -> Any:
 
 
 def _check_machine(folder: Path, stored: dict[str, Any], mechanism: Mechanism) -> None:
-    """Raise a FileError if what is stored of a session is of another machine; store this one."""
+    """Raise a FileError if a stored session is of another machine; else store this machine."""
     drawn = {parameter.id: parameter.nominal for parameter in mechanism.parameters}
     name, values = stored.setdefault("mechanism", [mechanism.name, drawn])
     if values != drawn:
         raise FileError(
             f"{folder} is a session of {name!r}, and {mechanism.name!r} has other parameters; "
-            "measure that one, or name another folder (--session)"
+            f"measure {name!r}, or name another folder (--session)"
         )
 
 
 @contextmanager
 def _source(options: SourceOptions) -> Iterator[Ask | None]:
-    """Yield what asks for measurements, None if they are typed."""
+    """Yield the function that asks a source for measurements; None if they are typed."""
     host, _, port = (options.tcp or "").rpartition(":")
     if options.follow is not None and options.tcp is not None:
-        raise typer.BadParameter("--follow and --tcp both give measurements; leave one of them")
+        raise typer.BadParameter("--follow and --tcp both give measurements; leave out one of them")
     if options.tcp is not None and not (host and port.isdecimal()):
         raise typer.BadParameter(f"--tcp {options.tcp}: expected HOST:PORT")
     with explaining(str(options.follow or options.tcp)):
@@ -227,10 +227,10 @@ def _source(options: SourceOptions) -> Iterator[Ask | None]:
 
 
 def _line(stream: TextIO, points: dict[str, float] | None = None) -> str:
-    """Return the next line of a file, once it is whole, or that which answers set points.
+    """Return the next complete line of a file, or the line that answers set points.
 
     Raises:
-        FileError: the other end is gone.
+        FileError: the other end closed the connection.
     """
     if points is not None:
         stream.write(json.dumps(points) + "\n")
@@ -252,8 +252,8 @@ def _line(stream: TextIO, points: dict[str, float] | None = None) -> str:
 def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Lock) -> None:
     """Measure one pose after another, until the user leaves, or a source has given enough.
 
-    A row that is off is settled on the page or in the terminal. With nobody there it is taken back,
-    unless the one before was off as well, which speaks against earlier ones; so is one that all
+    The user decides on a row that is off, on the page or in the terminal. Unattended, it is undone,
+    unless the row before was off as well, which speaks against earlier rows; so is a row that all
     others contradict. No pose is measured twice.
     """
     on_page, off = not source.terminal, 0
@@ -276,14 +276,14 @@ def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Loc
 
 
 def _asked(session: Session, ask: Ask | None, off: int) -> tuple[int, str]:
-    """Return the row of the plan that is next, and what a source or the user answers there."""
+    """Return the next row of the plan, and the line that a source or the user enters there."""
     row, gain = session.next_pose()
     if session.questioned:
         return row, input("u: undo it, k: keep it > ")
     exhausted = not session.candidates.fresh(session.measured).any()
     if ask and (exhausted or off >= _OFF):
         last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
-        fail(1, f"{last}, and it is not enough")
+        fail(1, f"{last}, but the accuracy is not reached")
     points = set_points(session, row)
     falls = f"; errors fall by {percent(gain)}" * (gain > 0.0)
     say(f"\npose {row + 1} of {len(session.plan)}{falls}. Drive to")
@@ -293,10 +293,10 @@ def _asked(session: Session, ask: Ask | None, off: int) -> tuple[int, str]:
 
 
 def _take(session: Session, line: str, row: int, pattern: str | None, *, strict: bool) -> None:
-    """Do what a line says; what is none is said, or, of a source, ends the command.
+    """Execute a line; a faulty line is a warning, or ends the command if ``strict``.
 
     Raises:
-        EOFError: it says to leave.
+        EOFError: the line says to quit.
     """
     match line.split():
         case ["q"]:
@@ -313,7 +313,7 @@ def _take(session: Session, line: str, row: int, pattern: str | None, *, strict:
 
 
 def _settle(session: Session, *, keep: bool) -> None:
-    """Keep the row that is off, or take it or the doubtful one back and skip its pose."""
+    """Keep the row that is off, or undo it (or the doubtful row) and skip its pose."""
     if session.questioned and keep:
         session.keep()
         return
@@ -322,11 +322,11 @@ def _settle(session: Session, *, keep: bool) -> None:
     row = session.measured[place]
     session.undo(place)
     session.skip(row)
-    say(f"pose {row + 1} is taken back, and comes no more", *progress(session))
+    say(f"pose {row + 1} is undone, and not asked for again", *progress(session))
 
 
 class SimulatedMachine:
-    """A true machine, driven by the readings of the nominal one; slips and drifts on request."""
+    """A simulated true machine, driven by readings, with slips and drift on request."""
 
     def __init__(
         self, mechanism: Mechanism, truth: Mechanism, noise: Noise, setup: Setup, units: Units
@@ -335,14 +335,14 @@ class SimulatedMachine:
         self.units = replace(units, names={"m": "mm", "rad": "deg", **units.names})
         self.rng = np.random.default_rng(0)
         self.slips, self.drift = 0.0, 0.0
-        """Share of rows in which a number slips by ten standard deviations; [m] along x per row."""
+        """Share of rows with a slip of ten standard deviations; drift along x per row, [m]."""
         self._rows = 0
 
     def measured(self, set_points: Mapping[str, float]) -> dict[str, float]:
-        """Return what is measured where the machine is driven to, columns with their units.
+        """Return the measurements at set points, by column with unit.
 
         Raises:
-            MeasurementError: a reading without a set point, or no such pose.
+            MeasurementError: a reading has no set point, or the machine does not reach the pose.
         """
         names = [head.removesuffix("]").partition(" [")[::2] for head in set_points]
         text = {name: [str(v)] for (name, _), v in zip(names, set_points.values(), strict=True)}
@@ -350,11 +350,11 @@ class SimulatedMachine:
         readings = table.array(reading_units(self.mechanism))
         plan = Plan(pincal.forward(self.mechanism, readings).poses)
         if not np.isfinite(plan.poses).all():
-            raise MeasurementError("the machine does not reach that")
+            raise MeasurementError("the machine does not reach these set points")
         plan = replace(plan, readings=readings if self.mechanism.by_readings else None)
         made = pincal.simulate(self.mechanism, self.truth, plan, self.noise, self.rng, self.setup)
         if not len(data := made.measurements):
-            raise MeasurementError(f"the machine does not reach that: {made.unreachable[0][1]}")
+            raise MeasurementError(f"the machine is not measured: {made.unreachable[0][1]}")
         sigma = self.noise.of_poses(self.mechanism)
         place = self.rng.choice(np.flatnonzero(sigma))
         slip = _SLIP * sigma[place] * self.rng.choice((-1.0, 1.0))
@@ -367,7 +367,7 @@ class SimulatedMachine:
         return {head: float(np.asarray(values, dtype=float)[0]) for head, values in written}
 
     def answer(self, line: str) -> str:
-        """Return the line that answers one."""
+        """Return the line that answers a line of set points, both JSON."""
         try:
             return json.dumps(self.measured(json.loads(line)))
         except (PincalError, ValueError, AttributeError) as error:
@@ -375,7 +375,7 @@ class SimulatedMachine:
 
 
 def serve(machine: SimulatedMachine, port: int) -> None:
-    """Answer on a port of this machine, one caller after another, until Ctrl-C."""
+    """Answer on a local port, one caller after another, until Ctrl-C."""
 
     class Line(StreamRequestHandler):
         def handle(self) -> None:

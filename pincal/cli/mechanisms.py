@@ -1,4 +1,4 @@
-"""Mechanisms as they are: the bundled ones, poses to readings and back, and for a controller."""
+"""Commands on mechanisms: list and check them, convert poses and readings, deploy kinematics."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def mechanisms() -> None:
 def check(mech: Mech) -> None:
     """Check a mechanism.
 
-    Prints whether loops close at home, whether parameters are observable, and the symmetry.
+    Prints whether loops close at home, which parameters are observable, and the symmetry.
     """
     mechanism = pincal.load_mechanism(mech)
     stdout.print(nominal_table(mechanism))
@@ -51,9 +51,7 @@ def check(mech: Mech) -> None:
         gap = max(home_gap(leg, mechanism.platform))
         words = f"closes at home within {gap:.2g} m"
         if gap > 1e-2 * leg.size:
-            words = (
-                f"home is rough, it closes within {gap:.2g} m only and fixes the side of bending"
-            )
+            words = f"home is rough: it closes only within {gap:.2g} m, but tells how the leg bends"
         stdout.print(f"{leg.name}: {words}")
     if cables := mechanism.cables:
         pulls, limits = pincal.tensions(mechanism, [mechanism.platform.home])[0], cables
@@ -86,15 +84,15 @@ def symmetry(
         float | None,
         typer.Option(
             min=0,
-            help="Largest deviation, relative to its size or [rad]; default: 1e-6, or what the "
-            "digits leave that parameters were written with.",
+            help="Largest deviation, relative to the machine's size or [rad] [default: 1e-6, or "
+            "the rounding of parameters that were written with few digits].",
         ),
     ] = None,
 ) -> None:
     """Find the symmetry group of a mechanism.
 
-    Prints where each element carries the legs, how well readings follow (equivariance, on
-    sampled poses), and what breaks the elements that fail.
+    Prints how each element permutes the legs, how well readings follow (equivariance, on
+    sampled poses), and why other elements are no symmetry.
     """
     mechanism = pincal.load_mechanism(mech)
     detected = pincal.symmetry_group(mechanism, tolerance)
@@ -113,17 +111,17 @@ def inverse(
         bool,
         typer.Option(
             "--as-measured",
-            help="Poses are of the measured point, in the frame of the measurements (the "
-            "tracker's), of a MECH that is a result.",
+            help="Poses are those of the measured point in the frame of the measurements (the "
+            "tracker's); MECH must be a result.",
         ),
     ] = False,
     force: Force = False,
 ) -> None:
     """Write the sensor readings of poses.
 
-    Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
-    code is then 1. Readings of poses outside joint limits are written with a warning. An arm's are
-    those near readings beside the poses, if there are some.
+    Rows of poses out of reach stay empty, with the reason in the column 'reason'; the exit code is
+    then 1. Readings of poses outside joint limits are written with a warning. For an arm, the
+    solution nearest to readings beside the poses is taken, if there are any.
 
     For a controller that takes poses and knows another machine, 'pincal forward CONTROLLER
     READINGS.csv' gives the poses to command instead.
@@ -152,7 +150,7 @@ def inverse(
     if beyond := [f"{place}: {', '.join(joints)}" for place, joints in pairs if joints]:
         warn(
             f"{poses}: {len(beyond)} of {len(places)} poses are outside the limits of joints; "
-            f"their readings are written all the same. {first_of(beyond)}"
+            f"their readings are written nevertheless. {first_of(beyond)}"
         )
     fail_if_lost(poses, places, reasons, "pose")
 
@@ -167,10 +165,9 @@ def forward(
 ) -> None:
     """Write the poses of sensor readings.
 
-    Poses are those in the assembly mode of home. Readings of more legs than degrees of freedom give
-    the least-squares pose and a note of how far they contradict each other. Rows of readings
-    without a pose, and empty ones, stay empty, with the reason in the column 'reason'; the exit
-    code is then 1.
+    Poses are in the assembly mode of home. Readings of more legs than degrees of freedom give the
+    least-squares pose and a note on how far they contradict each other. Rows without readings or
+    without a pose stay empty, with the reason in the column 'reason'; the exit code is then 1.
     """
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
@@ -197,7 +194,7 @@ def forward(
 
 
 def say_reference(mechanism: Mechanism, influences: Mapping[str, object]) -> None:
-    """Say which influences were not given."""
+    """Print which influences were not given."""
     known = {*influences, *mechanism.loaded}
     if missing := [name for name in mechanism.influences if name not in known]:
         remark(f"{', '.join(missing)} not given: the machine is taken at their reference")
@@ -210,12 +207,12 @@ def first_of(lines: Sequence[str], between: str = "; ") -> str:
 
 
 def fail_if_lost(path: Path, places: Sequence[str], reasons: Sequence[str], kind: str) -> None:
-    """End with exit code 1, and say why, if some rows have no solution."""
+    """End with exit code 1 and the reasons if some rows have no solution."""
     lost = [f"{place}: {reason}" for place, reason in zip(places, reasons, strict=True) if reason]
     if lost:
         fail(
             1,
-            f"{path}: {len(lost)} of {len(places)} {kind}s without a solution; their rows are "
+            f"{path}: {len(lost)} of {len(places)} {kind}s have no solution; their rows are "
             f"empty, with the reason. {first_of(lost)}",
         )
 
@@ -232,13 +229,13 @@ def deploy(
 ) -> None:
     """Write kinematics for a controller.
 
-    How do I command the robot now? Inverse and forward kinematics as one Python file and one C99
-    header that need nothing else, in the frames that were measured; joint centres and lengths with
-    standard errors; HAL lines for LinuxCNC where the machine is a hexapod or a delta.
-    FOLDER/commanding.md says how to use them.
+    FOLDER gets inverse and forward kinematics as one Python file and one C99 header without
+    dependencies, in the frames of the measurements; joint centres and lengths with standard errors;
+    HAL lines for LinuxCNC if the machine is a hexapod or a delta; and commanding.md, which says how
+    to use these files.
 
-    Where the controller's geometry cannot be changed, --grid 4096 adds what to command in place of
-    each pose (corrections.csv, and a function in both files), and says what error that leaves.
+    If the controller's geometry cannot be changed, --grid 4096 adds the pose to command for each
+    wanted pose (corrections.csv, and a function in both files), and prints the remaining error.
 
     For URDF, MJCF and printers see 'pincal export'.
     """

@@ -1,4 +1,4 @@
-"""Two ways to begin: ``pincal new``, one's own data sheet, and ``demo``, a simulated machine."""
+"""Two ways to begin: ``pincal new`` with a machine's dimensions, and ``demo``, a simulation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pincal.words.numbers import amount
 
 
 def _dimension_options() -> type[Any]:
-    """Return all dimensions of all architectures as a group of options."""
+    """Return a dataclass with all dimensions of all architectures as options."""
     meanings: dict[tuple[str, str], list[str]] = {}
     for architecture in ARCHITECTURES.values():
         for dimension in architecture.dimensions:
@@ -50,9 +50,8 @@ def new(
 ) -> None:
     """Create a mechanism from its dimensions.
 
-    Writes a mechanism folder. Dimensions that are not given are scaled from those that are; all are
-    printed. Then plan, measure, fill in the sheet, and type 'pincal calibrate MECH SHEET -o
-    RESULT'.
+    Writes a mechanism folder. Dimensions that are not given are scaled from the given ones; all are
+    printed. Then plan, measure, fill in the sheet, and run 'pincal calibrate MECH SHEET -o RESULT'.
     """
     design = architecture_of(architecture)
     sizes = {name: value for name, value in asdict(dimensions).items() if value is not None}
@@ -66,14 +65,14 @@ def new(
     say(f"next: {shlex.join([*words, '--sheet', 'sheet.xlsx', '-o', 'plan.csv'])}")
 
 
-_NOISE = 5e-5  # of positions, of the machine's size
+_NOISE = 5e-5  # standard deviation of positions over the machine's size
 
 
 @app.command("demo")
 def demo(
     mech: Annotated[str, typer.Argument(metavar="MECH", help="Mechanism.")] = "3RRR",
     output: Annotated[
-        Path | None, output_option("FOLDER", "Folder for all files; else a temporary one.")
+        Path | None, output_option("FOLDER", "Folder for all files [default: a temporary one].")
     ] = None,
     seed: Seed = 0,
     force: Force = False,
@@ -95,7 +94,7 @@ def demo(
     truth, measured = output / "truth", output / "measurements.csv"
     position = float(f"{_NOISE * mechanism.size:.0e}")
     noise: list[object] = ["--noise-position", f"{position:g}", "--noise-orientation", "1e-4"]
-    if mechanism.redundant:  # readings that are too many cannot be exact
+    if mechanism.redundant:  # more readings than freedoms cannot all be exact
         noise += ["--noise-reading", f"{position:g}"]
     forced = ["--force"] * force
     drawn = ["--seed", seed, *forced]
@@ -105,7 +104,7 @@ def demo(
     results = {"each leg alone": output / "per_leg", "all together": output / "result"}
     for method, folder in zip(("per-leg", "all-legs"), results.values(), strict=True):
         run_step("calibrate", mech, measured, *noise, "--method", method, "-o", folder, *forced)
-    stdout.print("\nHow far the true machine misses, driven by each model:", style="bold")
+    stdout.print("\nErrors of the true machine when each model drives it:", style="bold")
     models: dict[str, str | Path] = {"nominal": mech, **results}
     poses = pincal.Plan.from_csv(candidates, mechanism)
     with working("driving the true machine over the workspace"):

@@ -1,4 +1,4 @@
-"""Options of commands: filled from fields of dataclasses, and the groups that commands share."""
+"""Options of commands, declared as fields of dataclasses, and groups that commands share."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SEED = Option("Seed of all random choices.", least=0)
 
 
 def offered(name: str, declared: Option) -> typer.models.OptionInfo:
-    """Return an option as typer offers it; numbers may have a unit."""
+    """Return a declared option for typer; numbers may have a unit."""
 
     def parse(text: str | float) -> float:
         if isinstance(text, float):
@@ -59,12 +59,12 @@ Seed = Annotated[int, offered("seed", SEED)]
 
 
 def named_after(output: Path) -> str:
-    """Return a mechanism's name by its folder."""
+    """Return a mechanism's name made from the name of its folder."""
     return re.sub(r"\W+", "_", output.absolute().name).strip("_") or "mechanism"
 
 
 def option_parameters(group: type) -> Iterator[inspect.Parameter]:
-    """Yield the parameters by which typer offers the options of a dataclass."""
+    """Yield the parameters for typer that offer the options of a dataclass."""
     kinds = get_type_hints(group)
     for option_field in _option_fields(group):
         declared: Option = option_field.metadata["option"]
@@ -84,7 +84,7 @@ def option_parameters(group: type) -> Iterator[inspect.Parameter]:
 
 
 def filled(group: type, values: dict[str, Any]) -> Any:
-    """Return a dataclass made of what was typed, which is taken out of the values."""
+    """Return a dataclass with the typed options, which are removed from ``values``."""
     arguments = {}
     for option_field in _option_fields(group):
         value = values.pop(typed_name(option_field).replace("-", "_"))
@@ -100,13 +100,13 @@ def _option_fields(group: type) -> list[Field[Any]]:
 
 
 def typed_name(option_field: Field[Any]) -> str:
-    """Return the name of an option as the command line has it, without ``--``."""
+    """Return the name of an option on the command line, without ``--``."""
     name = (option_field.metadata["option"].name or option_field.name).replace("_", "-")
     return f"no-{name}" if option_field.default is True else name
 
 
 def refuse_options(options: Any, names: Iterable[str], purpose: str) -> None:
-    """Raise if some options were typed that are not for a purpose."""
+    """Raise if some of the named options were typed; ``purpose`` says where they do not apply."""
     typed = [
         f"--{typed_name(field)}"
         for field in _option_fields(type(options))
@@ -118,7 +118,7 @@ def refuse_options(options: Any, names: Iterable[str], purpose: str) -> None:
 
 @dataclass(frozen=True)
 class TableOptions:
-    """Units of what is written."""
+    """Options on units of output."""
 
     units: str | None = option(
         None,
@@ -127,13 +127,13 @@ class TableOptions:
     )
 
     def written_in(self, mechanism: Mechanism) -> Units:
-        """Return the units; SI where nothing is said."""
+        """Return the units of output; SI by default."""
         return Units.of(self.units or "", mechanism.counts, mechanism.reading_names)
 
 
 @dataclass(frozen=True)
 class SetupOptions:
-    """What the measured numbers mean."""
+    """Options on the meaning of the measured numbers."""
 
     setup_file: Path | None = option(
         None,
@@ -145,24 +145,24 @@ class SetupOptions:
     unknown_target: bool = option(False, option_of(Target, "unknown"))
 
     def read_setup(self) -> Setup:
-        """Return the setup of the file, and of the options beside it."""
+        """Return the setup of the file, changed by the other options."""
         setup = Setup() if self.setup_file is None else read_setup(self.setup_file)
         return setup.anywhere(frame=self.unknown_frame, target=self.unknown_target)
 
 
 @dataclass(frozen=True)
 class PlanOptions(SetupOptions):
-    """What will be measured."""
+    """Options on the quantities to measure."""
 
     measure: str | None = option(
         None,
-        "What is measured of the platform; all sensors are read at every pose.",
+        "Measured quantities of the platform; all sensors are read at every pose.",
         metavar="pose|position|orientation|nothing|x,y,…",
     )
     seed: int = option(0, SEED)
 
     def measured(self, mechanism: Mechanism, setup: Setup) -> tuple[str, ...]:
-        """Return what is measured of the platform, as ``--measure`` says it."""
+        """Return the measured freedoms of the platform and columns, by ``--measure``."""
         platform = mechanism.platform
         of_kind = {"pose": ("m", "rad"), "position": ("m",), "orientation": ("rad",), "nothing": ()}
         if self.measure is None:

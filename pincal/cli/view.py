@@ -39,7 +39,7 @@ Shown = Annotated[
 
 
 def _read(mech: str, shown: Path | None) -> tuple[dict[str, Any], CalibrationResult | None]:
-    """Return what is to be shown, as arguments of ``pincal.view``, and the result if it is one."""
+    """Return the arguments of ``pincal.view`` for the shown files, and the result if it is one."""
     mechanism = pincal.load_mechanism(mech)
     if shown is None and (Path(mech) / "result.json").is_file():
         shown = Path(mech)
@@ -47,13 +47,13 @@ def _read(mech: str, shown: Path | None) -> tuple[dict[str, Any], CalibrationRes
         poses = {} if shown is None else {"poses": _plan(shown, mechanism)}
         return {"mechanism": mechanism, **poses}, None
     if not (shown / "result.json").is_file():
-        raise FileError(f"{shown} is no folder of 'pincal calibrate': it has no result.json")
+        raise FileError(f"{shown} is no result of 'pincal calibrate': it has no result.json")
     result = pincal.load_result(shown)
     if not result.converged:
         raise MeasurementError(
             f"{shown}: the fit did not converge, so there is no calibrated mechanism to show"
         )
-    mechanism = result.nominal if shown == Path(mech) else mechanism  # of a result alone
+    mechanism = result.nominal if shown == Path(mech) else mechanism  # MECH is the result itself
     if result.nominal.leg_names != mechanism.leg_names:
         raise MechanismError(f"{shown} is of {result.nominal.name!r}, which has other legs")
     plan = replace(result.measurements, poses=result.poses)
@@ -61,16 +61,16 @@ def _read(mech: str, shown: Path | None) -> tuple[dict[str, Any], CalibrationRes
 
 
 def _plan(table: Path, mechanism: Mechanism) -> Plan:
-    """Return the whole poses of a table.
+    """Return the complete poses of a table.
 
     Raises:
-        MeasurementError: no row holds one.
+        MeasurementError: no row holds a complete pose.
     """
     has_readings = set(mechanism.reading_names) <= set(read_table(table).units)
     measured = has_readings and not mechanism.by_readings
     read: Callable[..., Plan] = read_measurements if measured else read_poses
     plan = read(table, mechanism, partial=True)
-    if mechanism.by_readings and plan.readings is not None:  # they say where the mechanism is
+    if mechanism.by_readings and plan.readings is not None:  # readings determine the pose
         held = mechanism.constraints >= mechanism.platform.dof
         solution = pincal.forward(mechanism, plan.readings, None if held else plan.poses)
         if not solution.converged.any():
@@ -83,8 +83,8 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
         advice = "pincal calibrate estimates them: show its RESULT in place of the measurements"
         first, names = int(np.argmin(complete)), np.array(mechanism.platform.coordinates)
         missing = (
-            f"{table}: {np.sum(~complete)} of {len(complete)} rows hold no whole pose, the first "
-            f"is in {plan.place(first)}, without {listed(names[np.isnan(plan.poses[first])])}"
+            f"{table}: {np.sum(~complete)} of {len(complete)} rows have no whole pose, the first "
+            f"is {plan.place(first)}, without {listed(names[np.isnan(plan.poses[first])])}"
         )
         if not complete.any():
             raise MeasurementError(f"{missing}. {advice}")
@@ -115,13 +115,12 @@ def view(
     """Show a mechanism in the browser, or draw it into a file.
 
     The slider and the arrow keys step through the poses. Without POSES.csv these are home and
-    samples of the workspace. With RESULT (alone, too) they are the measured ones, and the
-    calibrated machine is shown where it goes when the nominal model drives it, errors magnified;
-    arrows lead from measured to predicted points. The page is served to this machine alone, until
-    Ctrl-C.
+    samples of the workspace. With RESULT (alone, too) they are the measured poses, and the
+    calibrated machine is shown as the nominal model drives it, with magnified errors; arrows lead
+    from measured to predicted points. The page is served to this machine alone, until Ctrl-C.
 
-    A picture has the mechanism at home, or at the first pose of POSES.csv, with all its poses as
-    faint lines in the colours of their sets. The same picture gives the same bytes.
+    A picture shows the mechanism at home, or at the first pose of POSES.csv, and all poses as faint
+    lines in the colours of their sets. The same picture gives the same bytes.
     """
     suffix = ".html" if output is None else output.suffix.lower()
     if suffix not in (*_PAGES, ".svg", ".png", ".pdf"):
@@ -161,17 +160,17 @@ def view(
 
 
 def _say_unreached(scene: Scene) -> None:
-    """Say at how many poses something is not drawn."""
+    """Print at how many poses something is not drawn."""
     machines = {"mechanism": scene.body}
     if scene.magnified:
         machines[f"identified machine (errors × {scene.magnify:g})"] = scene.magnified
     for name, body in machines.items():
         if problems := list(filter(None, body.problems)):
-            text = f"the {name} is not drawn in full at {len(problems)} of {len(body.problems)}"
+            text = f"the {name} is not fully drawn at {len(problems)} of {len(body.problems)}"
             stderr.print(f"{text} poses; the first: {problems[0]}")
 
 
-#: What is drawn: the charts of ``result.plot``.
+#: Names of charts of ``result.plot``.
 Kind = StrEnum("Kind", [name for name in vars(Plots) if name[0] != "_"])  # type: ignore[misc]
 
 
@@ -186,8 +185,8 @@ def plot(
 ) -> None:
     """Draw a figure of a calibration.
 
-    It is 170 mm wide, with letters of 7 to 9 points. residuals: by row; images: residuals in camera
-    images; error_map: expected error over x and y.
+    It is 170 mm wide, with letters of 7 to 9 points. KIND is residuals (by row), images (residuals
+    in camera images) or error_map (expected error over x and y).
     """
     calibrated = pincal.load_result(result)
     refuse_existing(picture_path(output), force=force)

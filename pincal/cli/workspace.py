@@ -22,20 +22,20 @@ from pincal.workspace.criteria import refuse_readings
 from pincal.workspace.grid import POSITION_AXES, Axis, closer_grid, default_grid
 from pincal.workspace.region import KINDS
 
-#: Options that samples of poses do not have; of regions that is the number of poses.
+#: Options that only regions have; only samples of poses have a number of poses.
 _OF_REGIONS = ("axis", "symmetry", "connected")
 
 
 @dataclass(frozen=True)
 class WorkspaceOptions:
-    """What is looked for, and options."""
+    """Options of a workspace."""
 
     kind: str = option("poses", f"What to find: poses or {', '.join(KINDS)}.")
     axis: tuple[str, ...] = option(
         (),
         "Axis of the grid, as often as needed: 'x [mm]=-500:500:10' (low:high:step), 'z=1.8', "
         "'phi [deg]=0,20,40'. Positions: x, y or radius, bearing; z. Orientations: phi; azimuth, "
-        "tilt, torsion; rx, ry, rz; yaw, pitch, roll. Those not given: what the legs reach.",
+        "tilt, torsion; rx, ry, rz; yaw, pitch, roll. Other axes span what the legs reach.",
         metavar="AXIS",
     )
     count: int = option(30_000, "Number of poses.", least=1)
@@ -64,7 +64,7 @@ def workspace(
     reachable, constant-orientation, total-orientation, dexterous: positions reached in any
     orientation, in the given one, in all given ones, and in all orientations, respectively.
 
-    Axes that are not given span what the legs reach.
+    Axes that are not given span what the legs can reach.
     """
     if options.kind not in ("poses", *KINDS):
         raise WorkspaceError(f"--kind {options.kind}: unknown; expected poses, {', '.join(KINDS)}")
@@ -90,7 +90,7 @@ def workspace(
 
 
 def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions, least: Margins) -> None:
-    """Write the positions of a workspace, and print what it is."""
+    """Compute and write the positions of a workspace, and print its facts."""
     axes = [Axis.parse(text) for text in options.axis]
     places = [axis for axis in axes if axis.name in POSITION_AXES]
     turns = [axis for axis in axes if axis not in places]
@@ -112,7 +112,7 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions, least
     region = compute(default_grid(mechanism, places), f"{options.kind} workspace")
     closer = closer_grid(region.asked, region.inside, [axis.name for axis in places])
     if closer is not None:
-        region = compute(closer, "closer around what counts")
+        region = compute(closer, "finer grid around the workspace")
     region.save(output, force=options.force)
     stdout.print(workspace_table(region))
     wrote(output)

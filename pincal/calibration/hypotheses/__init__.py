@@ -1,1 +1,1 @@
-"""What may be wrong with measurements: hypotheses, and the one rule that ranks them."""
+"""Hypotheses on faults of measurements, and the rule that ranks them."""

@@ -1,7 +1,7 @@
-"""What goes wrong when machines are measured: hypotheses, each with the measurements put right.
+"""Hypotheses on faults in measurements, each with a function that corrects the fault.
 
 Frames and orders concern poses or columns as a whole; a sign, a unit or a motor's zero may be wrong
-in the readings of single legs. ``plausibility`` decides which of them explain measurements.
+in the readings of single legs. ``plausibility`` decides which hypotheses explain measurements.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pincal.model.platform import WAYS, Platform, columns_of, rotation_of
 from pincal.types import Array
 
 Right = Callable[[Measurements], Measurements]
-#: For each unit of a header: what the numbers may be in, and the factor that puts them right.
+#: By unit of a header: units in which the numbers may really be, and the factor that corrects them.
 UNITS = {"m": {"mm": 1e-3, "m": 1e3, "in": 25.4}, "rad": {"deg": np.pi / 180, "rad": 180 / np.pi}}
 REFLECTIONS = {
     "x": np.diag([-1.0, 1.0, 1.0]),
@@ -41,13 +41,13 @@ REFLECTIONS = {
     "xz": np.eye(3)[[2, 1, 0]],
     "yz": np.eye(3)[[0, 2, 1]],
 }
-_SHIFTS = (1, -1, 2, -2)  # rows by which logs of poses and readings are out of step
-_ZEROS = ("reading-offset", False)  # the fault that a search may start from
-_ROUND = 0.03  # share by which readings may miss a whole multiple of what they should be
+_SHIFTS = (1, -1, 2, -2)  # rows by which the logs of poses and readings may be shifted
+_ZEROS = ("reading-offset", False)  # the fault for which a search may start at other zeros
+_ROUND = 0.03  # relative tolerance on a whole factor between measured and nominal readings
 
 
 def faults(case: Case) -> Iterator[Hypothesis]:
-    """Yield signs, orders, frames, shifts and units, these also several wrong at a time."""
+    """Yield hypotheses on signs, orders, frames, shifts and units, also several wrong units."""
     platform = case.mechanism.platform
     turning = case.oriented and "rad" in platform.units
     yield Hypothesis("sign-of-readings", _readings_times(-1.0), by_leg=True)
@@ -62,7 +62,7 @@ def faults(case: Case) -> Iterator[Hypothesis]:
         yield Hypothesis("pose-inverted", inverted)
     if len(case.mechanism.leg_names) == len(case.mechanism.reading_names):
         yield from _exchanged(case)
-    for shift in _SHIFTS:  # readings stand some rows below, or above, the poses
+    for shift in _SHIFTS:  # readings are some rows below, or above, their poses
 
         def shifted(readings: Array, shift: int = shift) -> Array:
             moved = np.roll(readings, -shift, axis=0)
@@ -73,7 +73,7 @@ def faults(case: Case) -> Iterator[Hypothesis]:
 
 
 def faults_of_a_row(case: Case) -> Iterator[Hypothesis]:
-    """Yield what may be wrong in one row alone: a sign, a unit, legs or columns swapped."""
+    """Yield hypotheses on a single row: a sign, a unit, swapped legs or columns."""
     mechanism, singly = case.mechanism, len(case.mechanism.legs) > 1
     concerning_readings = [Hypothesis("sign-of-readings", _readings_times(-1.0), by_leg=True)]
     concerning_readings += [hypothesis for hypothesis in _units(case) if hypothesis.faults == 1]
@@ -89,7 +89,7 @@ def faults_of_a_row(case: Case) -> Iterator[Hypothesis]:
 
 
 def _reflections(platform: Platform, turned: Sequence[bool]) -> Iterator[Hypothesis]:
-    """Yield that axes are mirrored or exchanged: r → Q r, R → Q R Qᵀ; and Q r with R as it is."""
+    """Yield mirrored or exchanged axes: r → Q r with R → Q R Qᵀ or with R unchanged."""
     for axis, Q in REFLECTIONS.items():
         for orientations in turned if platform.space == 3 or Q[2, 2] == 1.0 else ():
             right = partial(_reflected, Q=Q, U=Q if orientations else np.eye(3))
@@ -98,7 +98,7 @@ def _reflections(platform: Platform, turned: Sequence[bool]) -> Iterator[Hypothe
 
 
 def _units(case: Case) -> Iterator[Hypothesis]:
-    """Yield what units may be wrong, in one kind of columns or in several together."""
+    """Yield wrong units, in one kind of columns or in several together."""
     mechanism = case.mechanism
     coordinates, columns = np.array(mechanism.platform.units), np.array(mechanism.reading_units)
     kinds = [("positions", "m", coordinates)]
@@ -121,7 +121,7 @@ def _units(case: Case) -> Iterator[Hypothesis]:
 
 
 def zeros(offsets: Array) -> Hypothesis:
-    """Return that readings are off by constants, shape (n_readings,), [rad] or [m]."""
+    """Return the hypothesis that readings have offsets, shape (n_readings,), [rad] or [m]."""
     return Hypothesis(
         "reading-offset",
         _read(partial(np.add, -offsets)),
@@ -131,7 +131,7 @@ def zeros(offsets: Array) -> Hypothesis:
 
 
 def zeros_by_poses(case: Case, nominal: Array) -> Array:
-    """Return medians of readings less nominal ones, both (N, n_readings); no whole turns."""
+    """Return medians of readings minus nominal ones, both (N, n_readings), without whole turns."""
     differences = case.readings - nominal
     offsets = np.zeros(differences.shape[1])
     for column, unit in enumerate(case.mechanism.reading_units):
@@ -144,9 +144,9 @@ def zeros_by_poses(case: Case, nominal: Array) -> Array:
 
 
 def scale(case: Case, nominal: Array) -> Hypothesis:
-    """Return how readings are scaled, such as counts, by nominal ones, shape (N, n_readings).
+    """Return the hypothesis that readings are scaled from nominal ones, shape (N, n_readings).
 
-    By nearly whole numbers; what a wrong unit explains is none.
+    Factors near whole numbers are rounded, those that a wrong unit explains are 1.
     """
 
     def nearly(factor: float, reference: float) -> bool:
@@ -169,7 +169,7 @@ def scale(case: Case, nominal: Array) -> Hypothesis:
 
 
 def _posed(platform: Platform, move: Callable[[Array, Array], tuple[Array, Array]]) -> Right:
-    """Return what moves positions (N, 3) and orientations (N, 3, 3), where they were measured."""
+    """Return a correction that moves measured positions (N, 3) and orientations (N, 3, 3)."""
 
     def right(data: Measurements) -> Measurements:
         measured = np.isfinite(data.poses)
@@ -202,7 +202,7 @@ def _ordered(order: Sequence[int]) -> Right:
 
 
 def of_legs(hypothesis: Hypothesis, mechanism: Mechanism, legs: Sequence[int]) -> Hypothesis:
-    """Return a hypothesis as of the readings of some legs only."""
+    """Return a hypothesis restricted to the readings of some legs."""
 
     def right(data: Measurements) -> Measurements:
         changed, readings = hypothesis.right(data), data.readings.copy()
@@ -218,7 +218,7 @@ def _swapped(count: int, i: int, j: int) -> list[int]:
 
 
 def _columns_of_a_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
-    """Yield one reading's sign, and two columns exchanged, of legs with several sensors."""
+    """Yield the sign of a column, and exchanged columns, for legs with several sensors."""
     names = mechanism.reading_names
     n = len(names)
     for columns in (range(c.start, c.stop) for c in mechanism.reading_columns):
@@ -231,7 +231,7 @@ def _columns_of_a_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
 
 
 def _angles(case: Case) -> Iterator[Hypothesis]:
-    """Yield signs and orders of the columns by which a spatial platform's orientation was given."""
+    """Yield signs and orders of the columns of a spatial platform's orientation."""
     platform = case.mechanism.platform
     written = case.calibration.measurements.written
 
@@ -252,12 +252,12 @@ def _angles(case: Case) -> Iterator[Hypothesis]:
 
 
 def _exchanged(case: Case) -> Iterator[Hypothesis]:
-    """Yield the order in which legs fit best, each judged alone, or orders that are likely."""
+    """Yield the order of legs that fits best if legs are judged alone, else likely orders."""
     n = len(case.mechanism.leg_names)
     every, turned = np.arange(n), [[*range(k, n), *range(k)] for k in range(n)]
     orders = [_swapped(n, i, j) for i, j in combinations(range(n), 2)]
     orders += [*turned, *(order[::-1] for order in turned)]
-    if case.alone:  # the column that each leg fits best, each to one leg; legs stay where they may
+    if case.alone:  # assign columns to legs by least misfit; legs stay where that costs nothing
         costs = -1e-9 * np.eye(n)
         tried = [Hypothesis("legs-exchanged", _ordered(order)) for order in turned]
         for order, judged in zip(turned, judge(case, tried), strict=True):
@@ -277,10 +277,10 @@ def _legs_exchanged(mechanism: Mechanism, order: Sequence[int]) -> Hypothesis:
 
 
 def with_zeros(calibration: Calibration, faults: Sequence[Finding]) -> Array | None:
-    """Return where the search starts with motors' zeros that were found, shape (n_params,).
+    """Return parameters with estimated zeros of motors, where a fit starts, shape (n_params,).
 
-    Those that full poses show of a machine that is known roughly; else those that alone explain
-    what does not fit. None if a fault is another, or they are not identified.
+    Zeros come from full poses for a machine that is roughly known, else from the only fault, if it
+    is of zeros. Returns None for other faults, or if the zeros are not identified.
     """
     names, rough = calibration.mechanism.reading_names, calibration.options.rough
     offsets = np.zeros(len(names))
@@ -301,10 +301,10 @@ def with_zeros(calibration: Calibration, faults: Sequence[Finding]) -> Array | N
 
 
 def _moved_zeros(calibration: Calibration, offsets: Array) -> tuple[Array, Array]:
-    """Return nominal parameters (n_params,) with zeros moved by offsets (n_readings,), and which.
+    """Return nominal parameters, (n_params,), with zeros moved by offsets, and a mask of those.
 
-    ψ = d k q + γ grows with γ; q = d k ψ + γ falls by d k of it. Zeros with priors, ties or terms,
-    or of several sensors, start at nominal.
+    Offsets and mask are (n_readings,). ψ = d k q + γ grows with γ; for q = d k ψ + γ, γ falls by
+    d k times the offset. Zeros with priors, ties or terms, or of several sensors, stay at nominal.
     """
     unknowns, legs = calibration.unknowns, calibration.mechanism.legs
     free = unknowns.map != 0.0

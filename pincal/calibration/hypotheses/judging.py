@@ -1,9 +1,9 @@
-"""How measurements that were put right fit: by the estimator's own cost, each leg alone.
+"""Misfit of corrected measurements, by the estimator's own cost, for each leg alone.
 
-Where the base is at an unknown place, or no orientation was measured, forward kinematics of the
-readings says where the nominal machine was, and the alignment from which searches start brings
-both together. The misfit of a leg is what a few steps of the estimator then leave of its closure,
-poses as measured, with a robust loss, each parameter known as well as machines follow drawings.
+If the base's place is unknown, or no orientation was measured, forward kinematics of the readings
+gives the nominal machine's poses, which are aligned with the measured ones as where fits start. The
+misfit of a leg is its closure residual after a few steps of the estimator at the measured poses,
+with a robust loss, and priors on parameters as wide as machines differ from drawings.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ from pincal.model.relations import ORIGIN
 from pincal.model.setup import Setup, Target
 from pincal.types import Array, Index, Mask
 
-QUESTIONED = 0.02  # misfit over the stroke that was measured, from which legs are questioned
-PRECISE = 1e-4  # of the leg's size: gaps that are none
-EQUAL = 2.0  # times the misfit that the best leaves: cannot be separated from it
-_ROWS, _ROWS_FORWARD = 500, 100  # enough to judge by; where forward kinematics is needed
-_STEPS = 4  # on the way to the machine near nominal that fits best
+QUESTIONED = 0.02  # misfit over the measured stroke, above which legs are questioned
+PRECISE = 1e-4  # gap over the leg's size that is negligible
+EQUAL = 2.0  # factor on the best misfit within which hypotheses cannot be separated
+_ROWS, _ROWS_FORWARD = 500, 100  # most rows that are judged, without and with forward kinematics
+_STEPS = 4  # Gauss–Newton steps to the machine near nominal that fits best
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One thing that may have gone wrong."""
+    """A hypothesis on a fault in measurements, with its correction."""
 
     code: str
-    """Kebab case; its sentence and remedy are in ``pincal.words.faults``."""
+    """Code of its finding; sentence and remedy are in ``pincal.words.faults``."""
     right: Callable[[Measurements], Measurements]
-    """Returns measurements put right."""
+    """Function that returns corrected measurements."""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """What is wrong: names and numbers of which its sentence is made."""
+    """Names and numbers for its sentence."""
     by_leg: bool = False
-    """Whether it may concern the readings of some legs only."""
+    """Whether it may concern only the readings of some legs."""
     faults: int = 1
-    """How many things went wrong."""
+    """Number of faults that it combines."""
     legs: tuple[int, ...] = ()
-    """Legs whose readings it concerns, if not all."""
+    """Indices of the legs whose readings it concerns; empty for all."""
 
 
 AS_MEASURED = Hypothesis("nothing", lambda data: data)
@@ -66,19 +66,19 @@ AS_MEASURED = Hypothesis("nothing", lambda data: data)
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Measurements that are judged, as nearly exact, and the rows by which this is done."""
+    """Measurements to be judged, with negligible noise, and the rows for it."""
 
     calibration: Calibration
-    """All measurements, the base in their frame or at an unknown place; without orientations if
-    these were not measured."""
+    """All measurements, in the base frame or an unknown one, with orientations if measured."""
     rows: Index
+    """Rows of the measurements that are judged."""
 
     @staticmethod
     @lru_cache(maxsize=4)
     def of(mechanism: Mechanism, data: Measurements, free: bool, target: Target) -> Case | None:
         """Return a case; None without rows, or if only the target's place is unknown.
 
-        Free is a base at an unknown place. Rows are those with complete poses, or else those with
+        ``free`` is an unknown place of the base. Rows have complete poses or, if there are none,
         positions and all readings.
         """
         known, poses = np.isfinite(data.poses), data.poses.copy()
@@ -121,13 +121,13 @@ class Case:
         return self.calibration.measurements.readings[self.rows]
 
     def few(self, count: int) -> Case:
-        """Return the case judged by some of its rows, evenly spaced."""
+        """Return the case with at most ``count`` of its rows, evenly spaced."""
         places = np.linspace(0, len(self.rows) - 1, min(count, len(self.rows)))
         return replace(self, rows=self.rows[places.astype(int)])
 
 
 def case_of(calibration: Calibration, frame: External | None = None) -> Case | None:
-    """Return the case of a calibration; by frame and targets as they were estimated, if given."""
+    """Return the case of a calibration, with the target's place from ``frame``, if estimated."""
     setup, target = calibration.options.setup, calibration.options.setup.targets[ORIGIN]
     if frame is not None and target.unknown:
         x, y, z = frame.offsets[0].tolist()
@@ -137,41 +137,41 @@ def case_of(calibration: Calibration, frame: External | None = None) -> Case | N
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A hypothesis and how the measurements, put right, fit each leg; lengths over its size."""
+    """A hypothesis, and the misfit of each leg to corrected measurements, over the leg's size."""
 
     hypothesis: Hypothesis
     calibration: Calibration
-    """The measurements put right."""
+    """The corrected measurements."""
     matrices: Array
-    """Poses put right, in the nominal machine's frame, shape (N, 4, 4); NaN where not known, all of
-    them if readings and measurements cannot be brought together."""
+    """Corrected poses in the base frame, shape (N, 4, 4); NaN where unknown, and everywhere if
+    readings and measurements cannot be aligned."""
     rows: Index
     """Number of rows with a reading, shape (n_legs,)."""
     gap: Array
     """Median closure residual at the nominal parameters, (n_legs,); NaN with less than two rows."""
     stroke: Array
-    """Median distance by which readings move the leg's end, (n_legs,); without any, the largest."""
+    """Median motion of the leg's end by its readings, (n_legs,); the largest for passive legs."""
     bent: Index
     """Number of rows that close the leg in another working mode than home's, shape (n_legs,)."""
     left: Callable[[int], Array]
-    """Returns what the machine near nominal that fits best leaves of a leg's closure, shape (N,);
-    NaN where there is no reading."""
+    """Function of a leg's index that returns its closure residuals for the best machine near
+    nominal, shape (N,); NaN where there is no reading."""
     elsewhere: float = 0.0
-    """Share of poses on the other side of a type-2 singularity than home, if it was asked."""
+    """Share of poses across a type-2 singularity from home, if it was computed."""
 
     @property
     def free(self) -> bool:
-        """Whether the base's place was aligned."""
+        """Whether the base's place is unknown and was aligned."""
         return self.calibration.options.setup.unknown_frame
 
     @property
     def placed(self) -> bool:
-        """Whether readings and measurements can be brought together."""
+        """Whether readings and measurements could be aligned."""
         return bool(np.isfinite(self.matrices).any())
 
     @cached_property
     def nominal_readings(self) -> Array | None:
-        """What the nominal machine reads at the poses, shape (N, n_readings); None if unknown."""
+        """Readings of the nominal machine at the poses, (N, n_readings); None if unknown."""
         mechanism = self.calibration.mechanism
         if not self.placed or mechanism.by_readings:
             return None
@@ -179,7 +179,7 @@ class Judged:
 
     @property
     def judged(self) -> list[int]:
-        """Legs that have rows."""
+        """Indices of the legs with two or more rows."""
         return np.flatnonzero(self.rows > 1).tolist()
 
     @property
@@ -188,13 +188,13 @@ class Judged:
         return 2 * self.bent <= self.rows
 
     def near(self, leg: int) -> float:
-        """Return what machines near nominal leave of a gap; all, if they do not differ so far."""
+        """Return a leg's median misfit for machines near nominal; its gap if that is too large."""
         gap = float(self.gap[leg])
         return min(gap, float(np.nanmedian(self.left(leg)))) if gap <= DIFFER else gap
 
     @property
     def misfits(self) -> Array:
-        """What is left of each leg, 1 in another working mode, 0 without rows, (n_legs,)."""
+        """Misfit of each leg, (n_legs,): at least 1 in another working mode, 0 without rows."""
         sizes = np.zeros(len(self.rows))
         for i in self.judged:
             sizes[i] = self.near(i) if self.as_home[i] else max(1.0, float(self.gap[i]))
@@ -202,28 +202,28 @@ class Judged:
 
     @property
     def misfit(self) -> float:
-        """Mean over the legs that have rows; 1 where nothing fits, or on the other side."""
+        """Mean misfit of legs with rows; at least 1 without any, or across a singularity."""
         mean = float(self.misfits[self.judged].mean()) if self.judged else 1.0
         return max(mean, 1.0) if self.elsewhere > 0.5 else mean
 
     @cached_property
     def questioned(self) -> list[int]:
-        """Legs of which machines near nominal leave much of what was measured."""
+        """Indices of the legs that no machine near nominal fits well."""
         most = np.maximum(np.minimum(QUESTIONED * self.stroke, DIFFER), PRECISE)
         return [i for i in self.judged if not (self.gap[i] <= most[i] or self.near(i) <= most[i])]
 
     def within(self, most: float) -> bool:
-        """Return whether every leg misses by so much of its size at most: ``DIFFER`` or more."""
+        """Return whether every leg's gap is at most ``most`` of its size, in home's mode."""
         return self.placed and all(self.as_home[i] and self.gap[i] <= most for i in self.judged)
 
     @property
     def fits_well(self) -> bool:
-        """Whether nothing is to be explained."""
+        """Whether the measurements fit, so that there is nothing to explain."""
         return self.placed and not self.questioned and self.elsewhere <= 0.5
 
 
 def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list[Judged]:
-    """Return how measurements fit all legs if a hypothesis is true, of each hypothesis."""
+    """Return the fit of all legs to the measurements corrected by each hypothesis."""
     calibration, rows = case.calibration, case.rows
     data = [hypothesis.right(calibration.measurements).rows(rows) for hypothesis in hypotheses]
     calibrations = [replace(calibration, measurements=right) for right in data]
@@ -233,13 +233,13 @@ def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list
 
 @lru_cache(maxsize=4)
 def judge_as_measured(case: Case) -> Judged:
-    """Return how measurements fit as they were given, and on which side of singularities."""
+    """Return the fit to the measurements as given, with the share across singularities."""
     (judged,) = judge(case)
     return replace(judged, elsewhere=other_side(case.mechanism, judged.matrices))
 
 
 def other_side(mechanism: Mechanism, matrices: Array) -> float:
-    """Return the share of poses on the other side of a type-2 singularity than home."""
+    """Return the share of poses that lie across a type-2 singularity from home."""
     known = matrices[np.isfinite(matrices).all(axis=(1, 2))]
     if mechanism.by_readings or not len(known):
         return 0.0
@@ -247,7 +247,7 @@ def other_side(mechanism: Mechanism, matrices: Array) -> float:
 
 
 def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
-    """Return poses, NaN where readings lead nowhere, of several calibrations, (N, 4, 4) each."""
+    """Return the poses of several calibrations, (N, 4, 4) each; NaN where forward fails."""
     platform = case.mechanism.platform
     if case.alone or not calibrations:
         return [_in_base(rows, rows.observation.external.start, None) for rows in calibrations]
@@ -276,7 +276,7 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
 
 
 def _in_base(calibration: Calibration, external: External, reached: Array | None) -> Array:
-    """Return measured poses in the base frame, (N, 4, 4); turned as those reached, if given."""
+    """Return measured poses in the base frame, (N, 4, 4); oriented as ``reached``, if given."""
     platform, data = calibration.mechanism.platform, calibration.measurements
     F, position = external.frame[:3, :3], np.zeros((len(data), 3))
     position[:, : platform.space] = data.poses[:, : platform.space]
@@ -289,14 +289,14 @@ def _in_base(calibration: Calibration, external: External, reached: Array | None
 
 
 def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> Judged:
-    """Return how measurements put right fit each leg at poses of shape (N, 4, 4)."""
+    """Return the fit of each leg to corrected measurements at poses of shape (N, 4, 4)."""
     mechanism, count = calibration.mechanism, len(calibration.mechanism.legs)
     used = calibration.used & np.reshape(np.isfinite(matrices).all(axis=(1, 2)), (-1, 1))
     rows, counts = np.flatnonzero(used.any(axis=1)), used.sum(axis=0)
     (gap, stroke), bent = np.full((2, count), np.nan), np.zeros(count, dtype=int)
     block = calibration.leg_block(range(count), rows, used[rows])
     nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
-    with np.errstate(all="ignore"):  # units may be far off
+    with np.errstate(all="ignore"):  # wrong units may overflow
         closed = block.evaluate(State(nominal, matrices[rows]))
         for i in np.flatnonzero(counts > 1).tolist():
             leg, served, of_leg = mechanism.legs[i], used[rows, i], block.leg_rows[i]
@@ -309,7 +309,7 @@ def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> J
             bent[i] = (mode_sign(closure) * home_mode(leg, mechanism.platform) < 0.0).sum()
             gap[i] = np.median(_missed(closed.value[served, of_leg])) / leg.size
             stroke[i] = np.median(moved) / leg.size
-    # of legs without a sensor nothing is read, and yet the platform moves them
+    # the platform moves legs without a sensor, too
     stroke[[not leg.sensors for leg in mechanism.legs]] = np.nan_to_num(stroke).max()
     left = cache(partial(_nearest, calibration, matrices, block, closed))
     return Judged(hypothesis, calibration, matrices, counts, gap, stroke, bent, left)
@@ -322,10 +322,10 @@ def _missed(conditions: Array) -> Array:
 def _nearest(
     calibration: Calibration, matrices: Array, block: LegBlock, closed: BlockRows, place: int
 ) -> Array:
-    """Return what the machine near nominal that fits best leaves of a leg's closure, shape (N,).
+    """Return a leg's closure residuals, over its size, for the best machine near nominal, (N,).
 
-    To first order, over the leg's size: Gauss–Newton steps from nominal, in the weights of where
-    the last one ended, none farther than machines differ, at poses as measured.
+    To first order at the measured poses: a few reweighted Gauss–Newton steps from nominal, none
+    longer than machines differ from drawings.
     """
     leg, served = block.legs[place], np.flatnonzero(block.used[:, place])
     rows, of_leg = block.data_rows[served], block.leg_rows[place]

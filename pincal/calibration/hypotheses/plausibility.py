@@ -1,9 +1,9 @@
-"""Are the measurements such as this mechanism can have made?
+"""Test whether this mechanism can have made the measurements.
 
-Readings and poses that fit the nominal mechanism leave closure gaps that machines near it explain,
-with the legs bent as at home. Else what often goes wrong is put right, one hypothesis at a time: it
-explains measurements if each fault put right leaves a third of misfit. Those that leave as little
-as the best cannot be separated from it; all of them are named. If none does, nothing is identified.
+Readings and poses are plausible if machines near the nominal one explain their closure gaps, with
+legs bent as at home. Otherwise frequent faults are corrected, one hypothesis at a time; it explains
+the measurements if each corrected fault reduces the misfit to a third. All hypotheses that do as
+well as the best are named, as they cannot be separated. If there is none, nothing is identified.
 """
 
 from __future__ import annotations
@@ -48,26 +48,26 @@ from pincal.model.relations import ROW, TO
 from pincal.words.findings import finding, sentence
 from pincal.words.numbers import amount
 
-_STILL = 1e-3  # readings that differ by less hardly move, of a leg's size and [rad]
-_FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones
-_PAST = 0.1  # [rad] past half a turn from home that a joint may be read: readings have a cut there
-_SLIP = 10.0  # times the median that a row misses by, if fewer than one row in so many does
-_EACH = 3.0  # by which each fault that is put right divides the misfit
-_ROWS_FRAMED, _ROWS_FEW = 40, 12  # enough where another frame is tried; to see what is likely
-_CELLS = 12  # zeros of a motor tried at a time, over a turn,
-_TIMES = 3  # then over a cell of the last
+_STILL = 1e-3  # least range of moving readings, over a leg's size, or [rad]
+_FOLLOWS = 0.5  # largest misfit, over the stroke, of readings that follow the poses
+_PAST = 0.1  # [rad] beyond half a turn from home that a reading may have: encoders wrap there
+_SLIP = 10.0  # factor on the median misfit of bad rows, if fewer than one row in so many is bad
+_EACH = 3.0  # factor by which each corrected fault must reduce the misfit
+_ROWS_FRAMED, _ROWS_FEW = 40, 12  # rows to judge in another frame; rows for a first selection
+_CELLS = 12  # zeros of a motor on a grid over a turn,
+_TIMES = 3  # number of grids, each over a cell of the last
 
 
 def implausible(calibration: Calibration) -> tuple[Finding, ...]:
-    """Return why a mechanism like the nominal one cannot have made measurements, by full poses."""
+    """Return findings that exclude a mechanism near the nominal one, by complete poses."""
     case = case_of(calibration)
     return () if case is None or not case.oriented else _faults(case) or _strange(case)
 
 
 def explain_misfit(calibration: Calibration, frame: External | None = None) -> tuple[Finding, ...]:
-    """Return what would explain that measurements do not fit; empty if nothing does.
+    """Return findings that would explain why measurements do not fit; empty if none does.
 
-    By frame and targets as they were estimated, if they were; not by zeros that a start has.
+    ``frame`` has estimated frame and targets. Zeros from which the fit started do not count.
     """
     if calibration.options.setup.pixels and (faults := photo_faults(calibration)):
         return faults
@@ -77,7 +77,7 @@ def explain_misfit(calibration: Calibration, frame: External | None = None) -> t
 
 
 def hypotheses_of(calibration: Calibration) -> list[tuple[Finding, Judged]]:
-    """Return hypotheses that explain measurements that do not fit, each with what it says."""
+    """Return the hypotheses that explain why measurements do not fit, with their findings."""
     if (case := case_of(calibration)) is None:
         return []
     explaining = explanations(case)
@@ -85,13 +85,13 @@ def hypotheses_of(calibration: Calibration) -> list[tuple[Finding, Judged]]:
 
 
 def _faults(case: Case) -> tuple[Finding, ...]:
-    """Return what is wrong: readings that stand still, or what explains the misfit."""
+    """Return findings on readings that stand still, or else the explanations of the misfit."""
     return _still(case) or as_findings(case, explanations(case))
 
 
 @lru_cache(maxsize=4)
 def explanations(case: Case) -> list[Judged]:
-    """Return the hypotheses that explain measurements, the simplest, as good as the best."""
+    """Return the simplest hypotheses that explain measurements about as well as the best."""
     as_measured = judge_as_measured(case)
     if as_measured.fits_well:
         return []
@@ -132,20 +132,20 @@ def _stages(case: Case) -> Iterator[list[Judged]]:
 
 
 def _explains(judged: Judged, as_measured: Judged) -> bool:
-    """Return whether a hypothesis leaves little enough of the misfit of what was given."""
+    """Return whether a hypothesis reduces the misfit of the given measurements enough."""
     if not as_measured.placed and 2 * len(judged.questioned) >= len(judged.judged):
-        return False  # anything is better than nothing: most legs must fit
+        return False  # any alignment is better than none, so most legs must fit
     wrong_units = judged.hypothesis.values.get("units", ())
     shrinks = any((unit, written) == ("m", "mm") for _, unit, written in wrong_units)
     gap = max(as_measured.gap[as_measured.judged], default=np.inf)
     if shrinks and (gap < 1.0 or judged.questioned):
-        return False  # lengths too large miss by far, and shrinking makes any misfit small
+        return False  # shrinking makes any misfit small, but lengths in mm miss by far
     most = as_measured.misfit / _EACH**judged.hypothesis.faults
     return judged.within(DIFFER) and judged.misfit <= most
 
 
 def _judged(case: Case, as_measured: Judged, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
-    """Return hypotheses with their fits; those of single legs for the legs that they help."""
+    """Return hypotheses with their fits; those by leg are restricted to the legs they improve."""
     mechanism, every = case.mechanism, range(len(case.mechanism.legs))
     if not case.alone:  # the frame depends on all legs
         tried: list[Hypothesis] = []
@@ -168,13 +168,13 @@ def _judged(case: Case, as_measured: Judged, hypotheses: Iterable[Hypothesis]) -
 
 
 def _likely(case: Case, tried: Sequence[Hypothesis]) -> list[Judged]:
-    """Return hypotheses with their fits, those of which a few rows fit the legs."""
+    """Return the fits of the hypotheses that fit the legs on a few rows."""
     on_few_rows = judge(case.few(_ROWS_FEW), tried)
     return judge(case, [few.hypothesis for few in on_few_rows if few.within(EQUAL * DIFFER)])
 
 
 def _zeros(case: Case) -> list[Judged]:
-    """Return that the zero of one motor is off by a constant, where poses do not say it."""
+    """Return the fits of an offset of each motor's zero, where poses do not determine it."""
     mechanism = case.mechanism
     if mechanism.by_readings:
         return []
@@ -190,14 +190,14 @@ def _zeros(case: Case) -> list[Judged]:
         costs = np.fmin(gaps, 1.0).mean(axis=1).reshape(grid.shape)  # 1 where nothing fits
         among = costs <= equal * costs.min(axis=0)
         best = (grid * among).sum(axis=0) / among.sum(axis=0)
-        # where no measurement says more, the middle
+        # the middle of all offsets that fit equally well
         reach, equal = 2 * reach / _CELLS, EQUAL
     offsets = enumerate(best[:, None] * axes)
     return _likely(case, [replace(zeros(offset), legs=(leg,)) for leg, offset in offsets])
 
 
 def as_findings(case: Case, explaining: Sequence[Judged]) -> tuple[Finding, ...]:
-    """Return hypotheses that explain measurements as findings."""
+    """Return the findings of hypotheses that explain measurements."""
     mechanism, as_measured = case.mechanism, judge_as_measured(case)
     names, reading_names = mechanism.leg_names, mechanism.reading_names
     named_legs, findings = as_measured.questioned or list(range(len(names))), []
@@ -222,7 +222,7 @@ def as_findings(case: Case, explaining: Sequence[Judged]) -> tuple[Finding, ...]
 
 
 def _strange(case: Case) -> tuple[Finding, ...]:
-    """Return what bars a fit though no hypothesis explains it."""
+    """Return the findings that rule out a fit although no hypothesis explains the misfit."""
     as_measured = judge_as_measured(case)
     legs = [(i, case.mechanism.legs[i]) for i in as_measured.judged]
     if not legs:
@@ -243,13 +243,13 @@ def _strange(case: Case) -> tuple[Finding, ...]:
     for i, leg in legs:
         stroke = float(as_measured.stroke[i])
         most = max(_FOLLOWS * stroke, _STILL)
-        if as_measured.gap[i] > most and (left := as_measured.near(i)) > most:  # near costs a fit
+        if as_measured.gap[i] > most and (left := as_measured.near(i)) > most:  # ``near`` is slow
             return (finding("readings-do-not-follow", leg=leg.name, left=left, stroke=stroke),)
     return ()
 
 
 def _still(case: Case) -> tuple[Finding, ...]:
-    """Return which readings are the same in all rows though the poses move their sensors."""
+    """Return the readings that are the same in all rows although the poses move their sensors."""
     mechanism, readings, as_measured = case.mechanism, case.readings, judge_as_measured(case)
     still = np.ptp(readings, axis=0) == 0.0
     if as_measured.free or not still.any() or as_measured.nominal_readings is None:
@@ -265,7 +265,7 @@ def _still(case: Case) -> tuple[Finding, ...]:
 
 
 def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
-    """Return readings that are whole turns off the nominal ones, of the first such leg."""
+    """Return the readings that are off by whole turns, for the first leg that has any."""
     mechanism = case.mechanism
     if any(len(leg.active) != 1 for leg in mechanism.legs):
         return ()
@@ -274,7 +274,7 @@ def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
             continue
         measured, law = case.readings[:, i], sensor_law(nominal_legs(mechanism)[i])
         position = law.position(measured[:, None])[:, 0] - leg.home[leg.active[0]]
-        far = np.abs(position) > np.pi + _PAST  # not at the cut
+        far = np.abs(position) > np.pi + _PAST  # beyond the wrap of encoders
         if not far.any() or as_measured.nominal_readings is None:
             continue
         expected = as_measured.nominal_readings[:, i]
@@ -288,7 +288,7 @@ def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
 
 
 def _slips(case: Case) -> tuple[Finding, ...]:
-    """Return which few rows, with full poses, miss machines near nominal far more than others."""
+    """Return few rows, with full poses, that miss machines near nominal far more than others."""
     as_measured = judge_as_measured(case)
     if not case.oriented or not as_measured.judged:
         return ()
@@ -303,16 +303,16 @@ def _slips(case: Case) -> tuple[Finding, ...]:
 
 
 def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
-    """Raise a MeasurementError if rows that serve the same leg are equal in all that was measured.
+    """Raise a MeasurementError if rows that serve the same leg have equal measurements.
 
-    Rows chosen for several legs may be copies of each other, unless ``every_pose`` serves every
+    Rows chosen for different legs may be copies of each other, unless ``every_pose`` serves every
     leg. Where equal readings come with different poses, measurements were repeated, and poses
     written with few digits may be equal by chance; rows of one ``pose`` are repeats, not copies.
     """
     measured = np.column_stack([data.poses, *data.extra.values()])
     first: dict[tuple[str, bytes], int] = {}
     copies = []
-    nothing = np.isnan(measured).all(axis=1)  # as where a photo shows no board
+    nothing = np.isnan(measured).all(axis=1)  # for example, a photo shows no board
     for row in np.flatnonzero(~nothing | (nothing.all() & (ROW not in data.contacts))).tolist():
         served = "" if data.sets is None or every_pose else data.sets[row]
         first_row = first.setdefault((served, data.readings[row].tobytes()), row)
@@ -330,7 +330,7 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
 
 
 def check_contacts(observation: Observation, data: Measurements) -> None:
-    """Raise if what is met has as many unknowns as the rows that meet it have equations."""
+    """Raise if a touched point has as many unknowns as its rows have equations."""
     for place, (name, columns, rows) in enumerate(touches(observation)):
         column, point, _ = observation.setup.touched[name]
         unknown, count = int(np.isinf(observation.external.sigmas[place]).sum()), int(rows.sum())
@@ -338,18 +338,18 @@ def check_contacts(observation: Observation, data: Measurements) -> None:
             row = f"{data.place(int(np.argmax(rows)))} alone touches" if count else "no row touches"
             raise MeasurementError(
                 f"{row if count < 2 else f'{count} rows touch'} {column} {point!r}, whose place is "
-                f"unknown, which says nothing of the machine. Touch it in at least "
+                f"unknown, which tells nothing about the machine. Touch it in at least "
                 f"{unknown // len(columns) + 1} poses, or leave it out"
             )
 
 
 _MISTAKEN = {25.4: "inches", 10.0: "centimetres", 1e3: "metres", 1 / 25.4: "millimetres"}
-"""What a length is in that is so many times too short, its unit taken for mm, or for inches."""
-_ABOUT = 0.1  # relative, within which it is that
+"""Real unit of lengths that are too short by a factor, their unit taken for mm, or for inches."""
+_ABOUT = 0.1  # relative tolerance on that factor
 
 
 def check_distances(calibration: Calibration) -> None:
-    """Raise if what is measured between rows is the nominal machine's but for a unit or a sign."""
+    """Raise if a distance between rows fits the nominal machine only in another unit or sign."""
     observation, data = calibration.observation, calibration.measurements
     least = QUESTIONED * calibration.mechanism.size
     if not observation.setup.between or not np.isfinite(data.readings).all():
@@ -373,7 +373,7 @@ def check_distances(calibration: Calibration) -> None:
                 question = f"{factor:.3g} times as much; is it in {_MISTAKEN.get(factor)}?"
                 if kind != "distance":
                     question = (
-                        f"the opposite; are its rows swapped? It is row {b}'s less row {a}'s."
+                        f"the opposite; are its rows swapped? It is row {b}'s minus row {a}'s."
                     )
                 raise MeasurementError(
                     f"the {kind} from row {a} to row {b} is {lengths[0]}, by the nominal machine "
@@ -382,7 +382,7 @@ def check_distances(calibration: Calibration) -> None:
 
 
 def check_noise(mechanism: Mechanism, noise: Noise | None) -> None:
-    """Raise if noise is above 2 % of a leg's size, or 0.02 rad: a unit must be wrong."""
+    """Raise if noise is above 2 % of a leg's size, or 0.02 rad, as its unit must be wrong."""
     size, noise = mechanism.size, noise or Noise(0.0, 0.0)
     turns = "rad" in mechanism.platform.units
     for what, given, unit, most in (

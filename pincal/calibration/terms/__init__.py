@@ -1,1 +1,1 @@
-"""What geometry does not explain: terms, screened, chosen and kept if they pay."""
+"""Terms for errors that geometry does not explain: screened, chosen, and kept if they pay."""

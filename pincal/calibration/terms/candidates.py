@@ -1,4 +1,4 @@
-"""Terms that sensors, lengths and angles may lack, in the scale of what was measured."""
+"""Terms that may be added to sensors, lengths and angles, scaled by the range of measurements."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ from pincal.types import Array
 
 _log = logging.getLogger(__name__)
 _NOTHING = np.zeros(0)
-_POINT = 1e-6  # [m], the radius at which the search for a pulley's begins
-_TRUE = 1e-3  # [rad], to which a joint's axis is known to stand
+_POINT = 1e-6  # initial radius of a pulley, [m]
+_TRUE = 1e-3  # uncertainty of the direction of a joint's axis, [rad]
 
 
 def with_terms(
     mechanism: Mechanism, measurements: Measurements, kinds: Iterable[Pair]
 ) -> tuple[Mechanism, dict[Pair, tuple[str, ...]]]:
-    """Return a mechanism with more terms, at zero, and the ids of their amplitudes.
+    """Return a mechanism with further terms of amplitude zero, and the ids of the amplitudes.
 
-    What it has already is not added again, and harmonics are of turning joints only. Growth of all
-    lengths has one amplitude in each leg, which are to be tied. Kinds are places, single or several
-    as one, and what is added to each; measurements say over what range terms are scaled.
+    Terms that it already has are not added again; only revolute joints get harmonics. Growth of all
+    lengths has an amplitude in each leg, which the caller ties. ``kinds`` are pairs of a place (or
+    a name of several places) and a kind; the ranges of measurements scale the terms.
     """
     parts = {pair: [(place, pair[1]) for place in parts_of(pair[0], mechanism)] for pair in kinds}
     pairs = list(dict.fromkeys(chain.from_iterable(parts.values())))
@@ -81,7 +81,7 @@ def with_terms(
 def _lacking(
     leg: Leg, tried_pairs: Sequence[Pair], data: Measurements, readings: Array
 ) -> Iterator[tuple[Pair, dict[int | str, Term], str]]:
-    """Yield places and kinds with terms of one amplitude, of sensors by index, and what it is."""
+    """Yield place and kind, the terms of an amplitude by parameter or sensor index, and a label."""
     several = len(leg.sensors) > 1
     sensors = zip(leg.reading_names, leg.reading_units, readings.T, strict=True)
     places: list[tuple[int | str, str, str, Array]]
@@ -100,7 +100,7 @@ def _lacking(
 
 
 def _in_proportion(term: Term, leg: Leg) -> dict[int | str, Term]:
-    """Return a term by each length of a leg, in proportion to it: a share of all lengths."""
+    """Return a term for each length of a leg, in proportion to the length, by its name."""
     basis, by_length = term.basis, dict[int | str, Term]()
     for name, unit in leg.placed.items():
         value = leg.nominal_by_name[name]
@@ -110,7 +110,7 @@ def _in_proportion(term: Term, leg: Leg) -> dict[int | str, Term]:
 
 
 def _identifier(stem: str, name: str) -> str:
-    """Return a name of a parameter that begins with a stem, if there is one."""
+    """Return a valid name for a parameter, which begins with the stem unless this is empty."""
     identifier = re.sub(r"\W", "_", f"{stem}_{name}" if stem else name, flags=re.ASCII)
     return f"_{identifier}" if identifier[0].isdigit() else identifier
 
@@ -118,8 +118,8 @@ def _identifier(stem: str, name: str) -> str:
 def _bases(
     kind: Kind, place: str, unit: str, readings: Array, data: Measurements
 ) -> Iterator[tuple[str, Harmonic | Power | Share, str, str]]:
-    """Yield what amplitudes of a kind are times: name, basis, what it follows, what they are."""
-    if kind == PERIOD:  # not known: any error of the reading, whose course is searched for
+    """Yield name, basis function, influence and label of each amplitude of a kind."""
+    if kind == PERIOD:  # unknown: the screen searches for it in a constant error of the reading
         yield kind.name, Harmonic(ROUNDING, "cosine"), "", "of any period"
     elif kind.name in (HARMONICS, PERIOD):
         for number in kind.numbers if unit == "rad" or kind.name == PERIOD else ():
@@ -152,7 +152,7 @@ def _bases(
 
 
 def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
-    """Return a leg with terms that share one amplitude, its last parameter; as it is with them."""
+    """Return a leg with terms that share a new last parameter as amplitude, unless it has them."""
     places: list[tuple[int | str, Term]]
     places = [(i, term) for i, sensor in enumerate(leg.sensors) for term in sensor.terms]
     by_amplitude: dict[str, dict[int | str, object]] = {}
@@ -173,18 +173,18 @@ def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
 
 
 def _new_name(leg: Leg, name: str) -> str:
-    """Return a parameter's name that the leg does not have yet."""
+    """Return a name for a parameter that the leg does not have yet."""
     while name in leg.parameter_names:
         name += "_term"
     return name
 
 
 def extended(calibration: Calibration, pairs: Sequence[Pair]) -> Calibration:
-    """Return a calibration of a mechanism with more terms; amplitudes of growth are tied."""
+    """Return a calibration whose mechanism has further terms; amplitudes of growth are tied."""
     if unknown := [term_text(place, kind) for place, kind in pairs if kind == PERIOD]:
         raise MeasurementError(
-            f"terms {unknown[0]!r}: a period is to be given, such as {unknown[0]}:5mm; 'pincal "
-            "explain' searches for it"
+            f"terms {unknown[0]!r}: give the period, such as {unknown[0]}:5mm; 'pincal explain' "
+            "searches for it"
         )
     kinds = [kind for _, kind in pairs]
     mechanism = weighed(calibration.mechanism, calibration.measurements, kinds)
@@ -192,7 +192,7 @@ def extended(calibration: Calibration, pairs: Sequence[Pair]) -> Calibration:
     data = with_columns(calibration, kinds)
     idle = idle_places(calibration.mechanism, data)
     if names := [place for place, kind in pairs if kind.name == GRAVITY and place in idle]:
-        _log.info("gravity: %s: loaded by no more than rounding or a lean: no term", listed(names))
+        _log.info("gravity: no term for %s, whose load hardly varies", listed(names))
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
     growths = [names for (place, _), names in ids.items() if place == GROWTH and len(names) > 1]
     tied = (*calibration.options.tied, *(names[0].partition(".")[2] for names in growths))
@@ -201,7 +201,7 @@ def extended(calibration: Calibration, pairs: Sequence[Pair]) -> Calibration:
 
 
 def _what(term: Term) -> tuple[object, ...]:
-    """Return what a term is, whatever its scale: two of one kind are the same but for that."""
+    """Return the identity of a term without its scale: equal terms differ only by scale."""
     basis = term.basis
     if isinstance(basis, Harmonic):
         return (term.of, basis.phase, round(basis.rate, 9))
@@ -213,7 +213,7 @@ def _what(term: Term) -> tuple[object, ...]:
 def with_influences(
     mechanism: Mechanism, measurements: Measurements, kinds: Iterable[Kind]
 ) -> Measurements:
-    """Return measurements with the columns that terms of some kinds would depend on."""
+    """Return measurements with the columns on which terms of some kinds would depend."""
     names, columns, data = {kind.name for kind in kinds}, dict[str, Array](), measurements
     if BACKLASH in names:
         readings = zip(mechanism.reading_names, data.readings.T, strict=True)
@@ -225,9 +225,9 @@ def with_influences(
 
 
 def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurements:
-    """Return measurements of a calibration with the columns that terms of kinds would depend on.
+    """Return a calibration's measurements with the columns on which terms of kinds would depend.
 
-    Loads are those where the platform is, wherever it was measured from.
+    Loads are computed at the platform's poses in the base frame, in whatever frame it was measured.
     """
     tried, data = list(kinds), calibration.measurements
     mechanism = weighed(calibration.mechanism, data, tried)
@@ -238,10 +238,10 @@ def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurement
 
 
 def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
-    """Return readings and ids whose load by gravity varies no more than their axes are true.
+    """Return readings and ids whose load by gravity varies too little to show.
 
-    The load of a joint about the vertical varies by rounding, or by how far its axis leans. Forces
-    count by their moment about the machine's size.
+    The load of a joint with a vertical axis varies only by rounding, or as its axis leans. Forces
+    are compared by their moment at a lever of the machine's size.
     """
     units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
     units |= {parameter.id: parameter.unit for parameter in mechanism.parameters}
@@ -256,7 +256,7 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
 
 
 def _range(values: Array) -> tuple[float, float]:
-    """Return the middle of values and half their range, to two digits; 1 where they are one."""
+    """Return the middle and half the range of values, to two digits; half is 1 for equal values."""
     known = values[np.isfinite(values)]
     if not len(known):
         return 0.0, 1.0

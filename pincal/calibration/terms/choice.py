@@ -1,11 +1,11 @@
-"""Which terms pay: models compared on held-out rows, the simplest of the best kept.
+"""Choice of terms: nested models are compared on held-out rows.
 
-Models are nested: the machine as drawn, its geometry identified, and one kind of term more each
-time, the one that the screen of the residuals names first. Each fold goes this way by the rows that
-it sees, so that the choice itself is held out (M. Stone 1974); rows of one pose are together. All
-grow at once, and no further where two terms in turn have predicted held-out rows no better.
-The simplest model within one standard error of the best is taken (L. Breiman et al., Classification
-and Regression Trees, 1984): a term that does not pay is not kept, however probable it is.
+The models are the machine as drawn, its identified geometry, and models with one more kind of term
+each time, the most significant one in the screen of the residuals. Each fold makes these choices by
+the rows that it sees, so that the choice itself is held out (M. Stone 1974); rows of one pose stay
+together. All folds grow at once, until two successive terms do not improve the prediction of
+held-out rows. The simplest model within one standard error of the best is chosen (L. Breiman et
+al., Classification and Regression Trees, 1984): no other term is kept, however significant it is.
 """
 
 from __future__ import annotations
@@ -32,44 +32,44 @@ from pincal.estimation.observability.courses import Slip, slips
 from pincal.types import Array, Mask
 
 LEVEL = 0.01
-"""Probability by chance, of all tests of a screen, below which a term is tried."""
-_MOST_TERMS = 8  # one after the other
-_IN_VAIN = 2  # terms by which held-out rows are predicted no better, after which none is tried
-_PINNED = 1e-12  # how well a parameter that is as drawn is known, [m], [rad] or [1]
-_TROUBLE = (PincalError, np.linalg.LinAlgError)  # what rows that do not determine a model raise
+"""P-value, corrected for the number of tests in a screen, below which a term is tried."""
+_MOST_TERMS = 8  # most terms that are added
+_IN_VAIN = 2  # successive terms without a better prediction, after which none is tried
+_PINNED = 1e-12  # prior standard deviation of a parameter as drawn, [m], [rad] or [1]
+_TROUBLE = (PincalError, np.linalg.LinAlgError)  # errors if rows do not determine a model
 
 
 @dataclass(frozen=True)
 class Model:
-    """One of the models compared: its fit of all rows, and how it predicts held-out rows."""
+    """One of the models compared: its fit of all rows, and its errors at held-out rows."""
 
     name: str
     """``"as drawn"`` (``"rigid alignment"`` where frame or target are unknown), ``"geometry"``, or
-    what was added last."""
+    the term added last."""
     fits: Fits = field(repr=False)
     added: tuple[Pair, ...] = ()
-    """All terms that the mechanism given has not: place and kind."""
+    """All terms in addition to those of the given mechanism: place and kind."""
     chance: float = 1.0
-    """Probability by chance of the last term when it was added, the number of tests taken in."""
+    """P-value of the last term when it was added, corrected for the number of tests."""
     held_out: float = np.nan
-    """Root mean square of white residuals of held-out rows, [σ]; NaN if no fold is identified."""
+    """RMS of whitened residuals of held-out rows, [σ]; NaN if no fold is identified."""
     spread: float = 0.0
-    """Standard error of how much larger that is than the best model's, poses as clusters, [σ]."""
+    """Standard error of ``held_out`` minus the best model's, with poses as clusters, [σ]."""
     position: float = np.nan
-    """Root mean square by which targets are missed at held-out rows, [m]; NaN if not measured."""
+    """RMS position error of targets at held-out rows, [m]; NaN if not measured."""
     orientation: float = np.nan
-    """The same of the measured orientation, [rad]."""
+    """RMS error of the measured orientation at held-out rows, [rad]; NaN if not measured."""
 
     @property
     def parameters(self) -> int:
-        """Number of free parameters: not those that are as drawn."""
+        """Number of free parameters, without those held as drawn."""
         unknowns = [fit.unknowns for fit in self.fits.fits]
         return sum(
             unknown.map.shape[1] - int((unknown.priors <= _PINNED).sum()) for unknown in unknowns
         )
 
     def errors(self, held: Calibration) -> Array:
-        """Return squares and numbers of white residuals at held-out rows, and of misses, (N, 4)."""
+        """Return squares and numbers of whitened residuals by row, and squared misses, (N, 4)."""
         held = replace(held, mechanism=self.fits.calibration.mechanism)
         errors = np.tile([0.0, 0.0, np.nan, np.nan], (len(held.measurements), 1))
         misses = misses_of(held, self.fits.parameters, self.fits.external)
@@ -84,7 +84,7 @@ class Model:
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
-    """What residuals of a calibration follow, and which model predicts rows best.
+    """Terms that the residuals of a calibration follow, and the model that predicts rows best.
 
     Example:
         >>> import numpy as np, pincal
@@ -100,15 +100,15 @@ class Explanation:
     result: CalibrationResult
     """The calibration of the geometry."""
     models: Sequence[Model]
-    """Those compared, in the order of their size."""
+    """Models that were compared, in the order of their size."""
     chosen: int
-    """Index of the simplest within one standard error of the best."""
+    """Index of the simplest model within one standard error of the best."""
     candidates: Sequence[Candidate]
-    """The screen of the geometry's residuals."""
+    """Screen of the geometry's residuals."""
     slips: Sequence[Slip]
-    """What slipped or drifted, unless a term explains it better; rows those of the measurements."""
+    """Slips and drifts, unless a term explains them better; rows are those of the measurements."""
     lost: Sequence[tuple[int, str]]
-    """Folds, from 0, that are not compared: without their rows geometry is not identified; why."""
+    """Folds, from 0, that were not compared, as geometry needs their rows, with the reason."""
 
     @property
     def model(self) -> Model:
@@ -124,12 +124,12 @@ class Explanation:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """The terms that pay, as options say them: ``leg_2=harmonics:1``, ``leg_1.l=warm``."""
+        """Chosen terms in the form of options: ``leg_2=harmonics:1``, ``leg_1.l=warm``."""
         return tuple(term_text(*term) for term in self.model.added)
 
     @attached
     def __str__(self) -> str:
-        """Return a page: what residuals follow, the models compared, and what to do."""
+        """Return the screen, the models compared, and the verdict as text."""
 
     def __repr__(self) -> str:
         chosen = ", ".join(self.terms) or self.verdict
@@ -139,10 +139,10 @@ class Explanation:
 def choose(
     calibration: Calibration, pairs: Sequence[Pair], fits: Fits | None = None
 ) -> tuple[list[Model], int, list[Candidate], list[Slip], list[tuple[int, str]]]:
-    """Return which terms pay, of places and kinds: an ``Explanation``'s fields behind its result.
+    """Choose terms among places and kinds; return an ``Explanation``'s fields behind its result.
 
-    Of a calibration that is ``started``, by its fits of all rows if they are known. Rows whose
-    ``set`` is ``verify`` have no part in the choice.
+    The calibration is ``started``; ``fits`` are its fits of all rows, if known. Rows of the set
+    ``verify`` have no part in the choice.
     """
     data = with_columns(calibration, [kind for _, kind in pairs])
     choosing_rows = np.flatnonzero(~data.verifying)
@@ -171,7 +171,7 @@ def choose(
     for model in growing:
         geometry.options.report(f"models on held-out rows, with {model.name}")
         models.append(model)
-        errors = np.append(errors, errors[-1:], axis=0)  # a path that ended stays where it is
+        errors = np.append(errors, errors[-1:], axis=0)  # a path that ended keeps its errors
         for held, path in paths:
             errors[-1, held] = next(path, errors[-1, held])
         best = int(np.argmin(np.nansum(errors[1:, :, 0], axis=1)))
@@ -186,7 +186,7 @@ def choose(
 def _grown(
     geometry: Fits, pairs: Sequence[Pair], candidates: Sequence[Candidate]
 ) -> Iterator[Model]:
-    """Yield models that grow by the likeliest term of a screen, the first one the geometry's."""
+    """Yield models, each with the most significant term of a screen in addition to the last's."""
     fits, added = geometry, tuple[Pair, ...]()
     every = np.ones(len(fits.calibration.measurements), dtype=bool)
     while likely := [candidate for candidate in candidates if candidate.corrected < LEVEL]:
@@ -194,14 +194,14 @@ def _grown(
         longer = replace(extended(geometry.calibration, added), start=None)
         try:
             fits = converged(longer, "the search", fits, every)
-        except _TROUBLE:  # what the rows do not determine
+        except _TROUBLE:  # the rows do not determine this model
             return
         yield Model("{} {}".format(*added[-1]), fits, added, likely[0].corrected)
         candidates = screen(fits, pairs)
 
 
 def _errors_along(models: Sequence[Model], fitted: Mask, pairs: Sequence[Pair]) -> Iterator[Array]:
-    """Yield errors of held-out rows as drawn and by geometry, raising if these fail; then on."""
+    """Yield errors of held-out rows as drawn and by geometry, or raise; then with more terms."""
     drawn, geometry = (
         converged(model.fits.calibration.rows(fitted), "the search", model.fits, fitted)
         for model in models[:2]
@@ -209,16 +209,16 @@ def _errors_along(models: Sequence[Model], fitted: Mask, pairs: Sequence[Pair]) 
     held = held_rows(models[1].fits.calibration, ~fitted)
     yield Model("", drawn).errors(held)
     yield Model("", geometry).errors(held)
-    with suppress(*_TROUBLE):  # a path that ends there
+    with suppress(*_TROUBLE):  # the path ends there
         for model in _grown(geometry, pairs, screen(geometry, pairs)):
             yield model.errors(held)
 
 
 def _slips(models: Iterable[Model]) -> list[Slip]:
-    """Return what slipped or drifted, by rows of the measurements.
+    """Return slips and drifts, with rows of the measurements.
 
-    By the geometry; while a term is likelier than the clearest slip, by the model with that term: a
-    slip may only follow it, as terms may follow a slip.
+    They are found in the residuals of the geometry; as long as a term is more significant than the
+    clearest slip, in those of the model with that term, which may have caused the slip.
     """
     slipped: list[Slip] = []
     for index, model in enumerate(models):
@@ -230,15 +230,15 @@ def _slips(models: Iterable[Model]) -> list[Slip]:
             for slip in slips(fit)
         ]
     known = model.fits.calibration.noise.known
-    return slipped if known else slipped[:1]  # or estimated with slips in it
+    return slipped if known else slipped[:1]  # estimated noise contains the slips
 
 
 def _compared(
     models: Sequence[Model], errors: Array, places: Sequence[str]
 ) -> tuple[list[Model], int]:
-    """Return models, by their errors (n_models, N, 4), and which is the simplest of the best.
+    """Return models with their errors, (n_models, N, 4), NaN in lost folds, and the chosen index.
 
-    Within one standard error, rows of one place being one; errors of lost folds are NaN.
+    It is the simplest within one standard error of the best, with rows of one place as a cluster.
     """
     known = np.isfinite(errors[0, :, 0])
     if not known.any():
@@ -260,5 +260,5 @@ def _compared(
 
 
 def _mean_of_known(values: Sequence[Array] | Array) -> Array:
-    """Return means along the first axis of what is known; NaN where nothing is."""
+    """Return means along the first axis over finite values; NaN where there are none."""
     return np.ma.masked_invalid(values).mean(axis=0).filled(np.nan)

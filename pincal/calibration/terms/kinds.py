@@ -1,7 +1,7 @@
-"""What a machine may lack, and where: kinds of term of readings, lengths and angles.
+"""Kinds of terms that a model may lack, and their places: readings, lengths and angles.
 
-Said as ``leg_1=harmonics:1,2``. A place is a reading, a length or angle by its id (``leg_1.l``) or
-its name in all legs (``l``), ``growth`` for all lengths as one, or, if none is said, every reading.
+Options are ``leg_1=harmonics:1,2``. A place is a reading, a length or angle by id (``leg_1.l``) or
+by name in all legs (``l``), ``growth`` for all lengths as one, or by default every reading.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from pincal.model.terms import LOAD, Load
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
 PULLEY = "pulley"
-"""The cable runs over a pulley that swivels about the upright: its radius is the amplitude."""
+"""A pulley under a cable, which swivels about the vertical; its radius is the amplitude."""
 PERIOD = "period"
-"""Sine and cosine of a period that is given, such as ``period:5mm``; searched for if it is not."""
+"""Sine and cosine of a period, such as ``period:5mm``; without a number it is searched for."""
 _OF_READINGS = (HARMONICS, PERIOD, POLYNOMIAL, BACKLASH, PULLEY)
 _KINDS = (*_OF_READINGS, GRAVITY)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
@@ -34,13 +34,13 @@ _KNOWN: dict[str, Callable[[float], bool]] = {  # the finest gratings have 100,0
     POLYNOMIAL: lambda power: power in range(2, 21),
 }
 GROWTH = "growth"
-"""In the place of a reading: all lengths of the machine, which grow by one part of them."""
+"""Place of a term: all lengths of the machine, which grow by a common share."""
 READINGS = "readings"
-"""In the place of one: all of them, each with amplitudes of its own."""
+"""Place of a term: all readings, each with amplitudes of its own."""
 
 
 def _value(name: str, text: str) -> float:
-    """Return the number of a kind that a text says, NaN if none; periods have a unit."""
+    """Return the number of a kind from its text, NaN if it is none; periods have a unit."""
     try:
         return in_si(text, "m rad", None) if name == PERIOD else in_si(text, "")
     except MeasurementError:
@@ -48,11 +48,11 @@ def _value(name: str, text: str) -> float:
 
 
 class Kind(str):
-    """A kind of term, as options say it: ``harmonics:1``, ``backlash``, or a column's name."""
+    """A kind of term in the form of options: ``harmonics:1``, ``backlash``, or a column's name."""
 
     @classmethod
     def of(cls, text: str) -> Kind:
-        """Return the kind that a text names, without numbers that are the usual ones."""
+        """Return the kind that a text names; numbers equal to the default ones are dropped."""
         name, colon, numbers = (part.strip() for part in text.partition(":"))
         texts = [number.replace(" ", "") for number in numbers.split(",")] if colon else []
         values = tuple(_value(name, number) for number in texts)
@@ -61,7 +61,7 @@ class Kind(str):
             raise MeasurementError(
                 f"terms {text!r}: expected harmonics:1,2 (periods in a turn, up to 100,000), "
                 "period:5mm, polynomial:2,3 (powers, 2 to 20), backlash, pulley, gravity, or a "
-                "column of the measurements; several as options of their own"
+                "column of the measurements; repeat the option for several"
             )
         if name != PERIOD:
             texts = [f"{value:.12g}" for value in values]
@@ -70,7 +70,7 @@ class Kind(str):
 
     @property
     def name(self) -> str:
-        """One of ``"harmonics"``, ``"polynomial"``, ``"backlash"``, … , or a column."""
+        """Name of the kind: ``"harmonics"``, ``"polynomial"``, ``"backlash"``, … , or a column."""
         return str(self).partition(":")[0]
 
     @property
@@ -82,38 +82,38 @@ class Kind(str):
 
 
 Pair = tuple[str, Kind]
-"""A place, and a kind of term that it has or may lack."""
+"""A place and a kind of term."""
 
 
 def loads_known(mechanism: Mechanism, measurements: Measurements) -> bool:
-    """Return whether loads can be worked out, or some were measured."""
+    """Return whether loads can be computed, or some were measured."""
     columns = {f"{LOAD}_{name}" for name in mechanism.load_names}
     return mechanism.weighs or not columns.isdisjoint(measurements.influences)
 
 
 def weighed(mechanism: Mechanism, measurements: Measurements, kinds: Sequence[Kind]) -> Mechanism:
-    """Return a mechanism that weighs something if it is to have terms of gravity.
+    """Return a mechanism with a load, if it is to have terms of gravity.
 
-    1 kg on the platform, whose weight points down, where nothing is known of loads: what amplitudes
-    are times is in proportion to it. In the plane nobody knows where down is.
+    If no load is known, it is 1 kg on the platform, in space with the weight along −z; amplitudes
+    are then per kg. In the plane the direction of gravity must be given.
     """
     if GRAVITY not in kinds or loads_known(mechanism, measurements):
         return mechanism
     if mechanism.platform.space == 2:
         raise MeasurementError(
-            f"terms 'gravity': what weighs on {mechanism.name!r} is not known; measure columns "
-            f"{LOAD}_{mechanism.reading_names[0]} …, or say it in mechanism.yaml: 'load: "
+            f"terms 'gravity': the loads of {mechanism.name!r} are not known; measure columns "
+            f"{LOAD}_{mechanism.reading_names[0]} …, or give them in mechanism.yaml: 'load: "
             "{mass: …, centre: […], gravity: […]}'"
         )
     return replace(mechanism, load=Load(1.0, assumed=True))
 
 
 def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
-    """Return where which kinds of term are tried that measurements can show.
+    """Return all places and kinds of term that the measurements can show.
 
-    All kinds at all readings; at lengths, each alone and all as one, what follows a column; at
-    lengths and angles between a leg's joints gravity (see ``weighed``). Each place alone, and
-    what machines are built of several times together: all readings, and what has one name.
+    Readings have all kinds; lengths, each alone and all as one, have terms of columns; lengths and
+    angles between a leg's joints have gravity (see ``weighed``). Places are tried alone, and
+    repeated parts of the machine together: all readings, and places of one name.
     """
     names = [HARMONICS] * ("rad" in mechanism.reading_units) + [POLYNOMIAL, BACKLASH, PERIOD]
     names += [GRAVITY] * (mechanism.platform.space == 3 or loads_known(mechanism, measurements))
@@ -133,7 +133,7 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
 
 
 def cables(mechanism: Mechanism, *, over_pulleys: bool = False) -> list[str]:
-    """Return the names of cables in space that are straight, or those over pulleys too."""
+    """Return the names of straight cables in space; optionally also of cables over pulleys."""
     if mechanism.platform.space == 2:
         return []
     pulleys = [over_pulleys and any(j.ratio for j in leg.joints) for leg in mechanism.legs]
@@ -142,13 +142,13 @@ def cables(mechanism: Mechanism, *, over_pulleys: bool = False) -> list[str]:
 
 
 def _with_names(ids: Sequence[str]) -> list[str]:
-    """Return ids, and the names that several of them share."""
+    """Return ids, followed by the names that several of them share."""
     names = [id_.rpartition(".")[2] for id_ in ids]
     return [*ids, *(name for name in dict.fromkeys(names) if names.count(name) > 1)]
 
 
 def parts_of(place: str, mechanism: Mechanism) -> list[str]:
-    """Return the single places that a place means: readings, ids of lengths and angles, growth."""
+    """Return the single places of a place: readings, ids of lengths and angles, or growth."""
     if place == READINGS:
         return list(mechanism.reading_names)
     if place in (*mechanism.load_names, GROWTH):
@@ -157,7 +157,7 @@ def parts_of(place: str, mechanism: Mechanism) -> list[str]:
 
 
 def lengths(mechanism: Mechanism) -> list[str]:
-    """Return the ids of the lengths of a mechanism, those that are not zero."""
+    """Return the ids of the lengths of a mechanism that are not zero."""
     names = mechanism.load_names
     return [p.id for p in mechanism.parameters if p.id in names and p.unit == "m" and p.nominal]
 
@@ -173,7 +173,7 @@ def _of_links(mechanism: Mechanism) -> list[str]:
 
 
 def parse_terms(terms: Sequence[str], mechanism: Mechanism) -> list[Pair]:
-    """Return places and kinds that texts name; several that one names one by one, and together."""
+    """Parse options into places and kinds; several places of one text come singly and together."""
     pairs = []
     for place, kind in (_parts(text) for text in terms if text != AUTO):
         single_places = parts_of(place, mechanism)
@@ -185,7 +185,7 @@ def parse_terms(terms: Sequence[str], mechanism: Mechanism) -> list[Pair]:
 
 
 def term_text(place: str, kind: Kind) -> str:
-    """Return how options say a term: ``backlash``, ``leg_1=backlash``."""
+    """Return a term in the form of options: ``backlash``, ``leg_1=backlash``."""
     return str(kind) if place == READINGS else f"{place}={kind}"
 
 
@@ -200,18 +200,18 @@ def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
         )
     elif place not in readings and kind.name in _OF_READINGS:
         problem = (
-            f"{kind.name} is of readings; lengths and angles follow a column of the measurements, "
-            "or gravity"
+            f"{kind.name} is for readings; lengths and angles can follow a column of the "
+            "measurements, or gravity"
         )
     elif kind == PULLEY and place not in cables(mechanism, over_pulleys=True):
-        problem = "pulleys are of cables in space: a universal joint at the anchor and a line"
+        problem = "pulleys are for cables in space: a universal joint at the anchor and a line"
     elif kind.name == PERIOD != kind:
         for period in kind.partition(":")[2].split(","):
             in_si(period, mechanism.reading_units[readings.index(place)])
     elif (place, kind.name) == (GROWTH, GRAVITY):
         problem = (
-            "gravity loads each length otherwise, and they do not grow as one; name a length or an "
-            "angle, such as leg_1.l=gravity"
+            "gravity loads each length differently, so they do not grow as one; name a length or "
+            "an angle, such as leg_1.l=gravity"
         )
     if problem:
         raise MeasurementError(f"terms {term_text(place, kind)!r}: {problem}")
@@ -225,11 +225,11 @@ def columns_of_terms(terms: Sequence[str]) -> tuple[str, ...] | None:
 
 
 def _parts(text: str) -> tuple[str, Kind]:
-    """Return the place that a text names, every reading if it names none, and the kind."""
+    """Return the place that a text names, by default every reading, and the kind."""
     reading, of, kind = text.rpartition("=")
     if of and kind.strip() == AUTO:
         raise MeasurementError(
-            f"terms {text!r}: {AUTO!r} tries every kind in every place, so it stands alone; name "
+            f"terms {text!r}: {AUTO!r} tries every kind in every place, so it takes no place; name "
             f"a kind, such as {reading.strip()}=backlash"
         )
     return reading.strip() or READINGS, Kind.of(kind)

@@ -1,13 +1,13 @@
-"""What a model lacks: all terms that there may be, each tried against residuals without a fit.
+"""Screen for terms that a model lacks: score tests on the residuals, without further fits.
 
-A term is a parameter at zero: with M the projection on what the fit does not take up and W the
-white rows of its amplitudes, the share of χ² in M W is, if the machine has no such term, one like
-any other (C. R. Rao 1948; an F test). One step gives the amplitudes: a = −(Wᵀ M W)⁻¹ Wᵀ M r.
+A candidate term is a parameter at zero. With M the projection on the residual space of the fit and
+W the whitened rows of its amplitudes, the share of χ² in the range of M W follows an F test if the
+machine has no such term (C. R. Rao 1948). One step gives the amplitudes: a = −(Wᵀ M W)⁻¹ Wᵀ M r.
 
-Of an unknown period sine and cosine are tried over a grid: a periodogram (N. R. Lomb 1976, J. D.
-Scargle 1982) of what parameters leave of a reading's error. The chance of its highest peak counts
-all others (R. B. Davies 1987): p (1 + w √z), z half of χ² along it, w the rate times what the
-logarithms of rates span, by which all are equally likely: of periods as clear the longest is first.
+For an unknown period, sine and cosine are tried over a grid of rates, a periodogram (N. R. Lomb
+1976, J. D. Scargle 1982) of the reading's error in the residual space. The p-value of its highest
+peak accounts for all others (R. B. Davies 1987): p (1 + w √z), z half of χ² along it, w the rate
+times the span of log rates, whose prior is uniform: of equally clear periods the longest is first.
 """
 
 from __future__ import annotations
@@ -29,51 +29,51 @@ from pincal.estimation.unknowns import State
 from pincal.types import Array, Index
 from pincal.words.numbers import UNITS
 
-_PERIODS = (2, 250)  # in the travel of a reading that are searched for
-_FINE = 3  # rates that are tried in the width of a peak
-_STEPS = 2  # of Gauss and Newton from there to the peak
-_BETWEEN = 0.9  # of a peak, that is seen at least at the nearest that is tried
-_ALIASES = 4  # peaks at most that are asked for as terms
+_PERIODS = (2, 250)  # fewest and most periods in the travel of a reading
+_FINE = 3  # rates of the grid in the width of a peak
+_STEPS = 2  # Gauss–Newton steps from the grid to the peak
+_BETWEEN = 0.9  # least share of a peak's height at the nearest rate of the grid
+_ALIASES = 4  # most peaks that become candidates
 
 
 @dataclass(frozen=True)
 class Candidate(Amplitudes):
-    """One kind of term in one place, and what residuals say of it, once they were asked."""
+    """A kind of term in a place, and the result of its test on the residuals."""
 
     reading: str
-    """The place: a reading, an id, ``"growth"`` of all lengths; ``"readings"``, or a name, of all
-    such, each with its own amplitudes."""
+    """Place: a reading, an id, or ``"growth"`` for all lengths; ``"readings"``, or a name, for
+    several places, each with its own amplitudes."""
     kind: Kind
     unit: str
-    """Of the amplitudes."""
+    """SI unit of the amplitudes."""
     names: tuple[str, ...]
     """Ids of the amplitudes."""
     share: float = 0.0
-    """Share of χ² that the term would take off."""
+    """Share of χ² that the term would remove."""
     corrected: float = 1.0
-    """Its probability by chance with the number of tests taken in (Holm 1979)."""
+    """P-value, corrected for the number of tests (Holm 1979)."""
     or_else: tuple[Pair, ...] = ()
-    """Places and kinds that these rows cannot separate from it, if it is improbable by chance."""
+    """Places and kinds that these rows cannot separate from it, if it is significant."""
     spread: float = 0.0
     """Standard error of its period, [m] or [rad], if that was searched for."""
     searched: float = 0.0
-    """How much the search for it spans, w of the module's docstring."""
+    """Span of the search for its period: w of the module's docstring."""
     rows: Array = field(default_factory=lambda: np.zeros((0, 0, 0)), repr=False)
-    """White rows of the amplitudes, by which it would show in a fit, shape (n_used, m, k)."""
+    """Whitened Jacobian by the amplitudes, shape (n_used, m, k)."""
 
     @property
     def pair(self) -> Pair:
-        """Place and kind, by which a candidate is known."""
+        """Place and kind, which identify a candidate."""
         return self.reading, self.kind
 
 
 def screen(fits: Fits, pairs: Sequence[Pair]) -> list[Candidate]:
-    """Return what readings, lengths and angles may lack, the most improbable by chance first."""
+    """Return candidate terms of readings, lengths and angles, the most significant first."""
     return screened(trials(fits, pairs))
 
 
 def screened(parts: Sequence[tuple[Residuals, Sequence[Candidate]]]) -> list[Candidate]:
-    """Return what residuals say of the terms that are tried on them."""
+    """Test candidate terms on their residuals; return them with results, in order."""
     tried = [
         (_asked(residuals, candidate), residuals)
         for residuals, candidates_of_part in parts
@@ -93,7 +93,7 @@ def screened(parts: Sequence[tuple[Residuals, Sequence[Candidate]]]) -> list[Can
             break
         rivals = [rival for rival, of_rival in tried[index + 1 :] if of_rival is residuals]
         dof = max(residuals.degrees_of_freedom - candidate.rank, 1)
-        variance = (1.0 - candidate.share) * residuals.chi2 / dof  # of what is left, as in F tests
+        variance = (1.0 - candidate.share) * residuals.chi2 / dof  # with the term, as in F tests
         alike = inseparable(candidate, rivals, residuals.chi2 / max(variance, 1e-300))
         without = residuals.without(candidate.rows) if alike else residuals
         rescreened = [_asked(without, rival) for rival in alike]
@@ -111,7 +111,7 @@ def _asked(residuals: Residuals, candidate: Candidate) -> Candidate:
 
 
 def trials(fits: Fits, pairs: Sequence[Pair]) -> list[tuple[Residuals, list[Candidate]]]:
-    """Return residuals of fits, and the terms that may be tried on them; see ``screen``."""
+    """Return the residuals of fits, each with the candidate terms to test on them."""
     calibration = fits.calibration
     data = with_columns(calibration, [kind for _, kind in pairs])
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
@@ -122,10 +122,10 @@ def trials(fits: Fits, pairs: Sequence[Pair]) -> list[tuple[Residuals, list[Cand
 def _trials_of(
     fit: Fit, extended: Calibration, ids: Mapping[Pair, tuple[str, ...]]
 ) -> tuple[Residuals, list[Candidate]]:
-    """Return residuals of a fit without terms, and the terms, by ids, that may be tried on them."""
+    """Return the residuals of a fit, and the candidate terms, with amplitudes ``ids``, for them."""
     residuals, parameters = Residuals.of(fit), extended.mechanism.parameters
     names, W = _columns(extended, fit, residuals.used)
-    by_amplitudes: dict[tuple[str, ...], list[Candidate]] = {}  # of several places: not alone
+    by_amplitudes: dict[tuple[str, ...], list[Candidate]] = {}  # equal amplitudes are tested once
     for (reading, kind), amplitudes in ids.items():
         places = [names.index(name) for name in amplitudes if name in names]
         in_fit = len(places) == len(amplitudes) or reading == GROWTH
@@ -147,10 +147,10 @@ def _trials_of(
 
 
 def _periodic(candidate: Candidate, residuals: Residuals, readings: Array) -> list[Candidate]:
-    """Return the clearest periods that errors of readings have, and those as clear (aliases).
+    """Return candidates for the clearest period in errors of readings, and for equally clear ones.
 
-    Rows of the candidate are those of a constant error of each reading, shape (n_used, m, k);
-    readings, shape (n_used, k), are of one unit.
+    The candidate's rows, (n_used, m, k), are the effect of a constant error of each reading;
+    readings, (n_used, k), have one unit.
     """
     E, x = candidate.rows, readings
     if not (travel := float(np.ptp(x, axis=0).max())):
@@ -161,7 +161,7 @@ def _periodic(candidate: Candidate, residuals: Residuals, readings: Array) -> li
     waves = [wave(rates[:, None, None] * x) for wave in (np.sin, np.cos)]
     sizes = [np.maximum((wave**2 * squares).sum(axis=1), 1e-300) for wave in waves]
     powers = [(w * along).sum(axis=1) ** 2 / size for w, size in zip(waves, sizes, strict=True)]
-    power = np.sum(powers, axis=(0, 2))  # as if parameters took nothing of a sine
+    power = np.sum(powers, axis=(0, 2))  # as if parameters absorbed nothing of a sine
     higher = np.r_[True, power[1:] >= power[:-1]] & np.r_[power[:-1] > power[1:], True]
     variance = (residuals.chi2 - power.max()) / max(residuals.degrees_of_freedom, 1)
     odds = power / max(variance, 1e-300) - 2.0 * np.log(rates)
@@ -186,16 +186,16 @@ def _periodic(candidate: Candidate, residuals: Residuals, readings: Array) -> li
 
 
 def _waves(errors: Array, angles: Array) -> Array:
-    """Return errors times sine and cosine of angles, (N, m, k) and (N, k) to (N, m, 2 k)."""
+    """Return errors, (N, m, k), times sine and cosine of angles, (N, k), as (N, m, 2 k)."""
     waves = errors[..., None] * np.stack((np.sin(angles), np.cos(angles)), axis=2)[:, None]
     return waves.reshape(*errors.shape[:2], -1)
 
 
 def inseparable(candidate: Candidate, rivals: Sequence[Candidate], chi2: float) -> list[Candidate]:
-    """Return the rivals that take off as much as a candidate, of χ² over the variance left.
+    """Return the rivals that remove as much as a candidate of ``chi2``, over the variance left.
 
-    They are of its kind, elsewhere; or another function of the same reading, such as a polynomial
-    for harmonics, whose χ² counts less two for each amplitude (Akaike 1974).
+    They are of the same kind in another place, or other functions of the same reading, such as a
+    polynomial for harmonics; then two are subtracted from χ² per amplitude (Akaike 1974).
     """
     alike = []
     for rival in rivals:
@@ -208,7 +208,7 @@ def inseparable(candidate: Candidate, rivals: Sequence[Candidate], chi2: float) 
 
 
 def _columns(extended: Calibration, fit: Fit, used: Index) -> tuple[list[str], Array]:
-    """Return the ids of all legs' parameters, terms included, and their white rows of rows used."""
+    """Return the ids of all legs' parameters with terms, and the whitened Jacobian of used rows."""
     before, state = fit.problem.leg_block, fit.last.state
     places = [extended.mechanism.leg_names.index(leg.name) for leg in before.legs]
     legs = extended.leg_block(places, fit.rows, before.used, before.pose_roots)
