@@ -20,7 +20,7 @@ LINES = {
     "design": 2_334,
     "estimation": 4_756,
     "files": 3_385,
-    "formats": 3_513,
+    "formats": 3_512,
     "instruments": 1_579,
     "kinematics": 3_391,
     "model": 3_610,

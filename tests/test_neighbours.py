@@ -662,7 +662,7 @@ CUBIC = "joint_name: [mot1]\njoint_type: [CUBIC]"
         (((OWN, "home: {mot9: 1.0}"),), "'home' has 'mot9'"),
         (((OWN, "platform: base"),), "fixed to the base"),
         (((OWN, CUBIC),), "joint_type.0"),
-        ((("closedloop1_B'", "a1'"),), "closedloop1_A_a1 lie on no way"),
+        ((("closedloop1_B'", "a1'"),), "closedloop1_A_a1 lie on no route"),
     ],
 )
 def test_yaml_that_does_not_fit(
@@ -683,7 +683,7 @@ def test_legs_and_platform_must_be_told_apart(tmp_path: Path) -> None:
     coupled = [*FIVE_BAR, joint("x", "a1", "x1", "0 0.1 0"), joint("xe", "x1", "x2", kind="fixed")]
     coupled.append(joint("xb", "b1", "x3", "0 0.1 0", "fixed"))
     yaml = FIVE_BAR_YAML.replace("']]", "'], [xe, xb]]").replace("['3d']", "['3d', '3d']")
-    with pytest.raises(pincal.MechanismError, match="ways meet in 2 bodies"):
+    with pytest.raises(pincal.MechanismError, match="routes meet in 2 bodies"):
         read(written(tmp_path, urdf("r", coupled, "base"), yaml))
     apart = [one.replace('xyz="0.1 0 0"', 'xyz="9 0 0"') for one in FIVE_BAR]
     with pytest.raises(pincal.MechanismError, match="do not close"):
@@ -719,7 +719,7 @@ CONNECT = '<connect site1="sa" site2="sb"/>'
         ((("EQUALITY", '<connect body1="a2" body2="b2"/>'),), "'anchor') must be specified"),
         ((("EQUALITY", ""),), "form no loop"),
         ((('<joint name="f1"/>', '<joint name="f1" type="screw"/>'),), "keyword: 'screw'"),
-        ((('<joint name="m1"/>', '<joint name="m1" type="ball"/>'),), "what the platform is"),
+        ((('<joint name="m1"/>', '<joint name="m1" type="ball"/>'),), "may be the platform"),
         ((('<joint name="f1"/>', '<joint name="m1"/>'),), "repeated name 'm1'"),
         ((('pos="-0.1 0 0"', 'pos="-0.1 0"'),), "'pos' does not have enough data"),
         ((('pos="-0.1 0 0"', 'pos="nan 0 0"'),), "not finite"),
@@ -778,7 +778,7 @@ def test_what_a_urdf_has_no_place_for(tmp_path: Path) -> None:
         calibrated_urdf(other, mechanism)
     other.write_text(urdf("arm", ARM[:-1], "base_link"))
     arm = pincal.disturb(pincal.Mechanism.from_urdf(other, "wrist_3"), 1e-3, seed=0)
-    with pytest.raises(pincal.MechanismError, match="no fixed joint of the URDF is there"):
+    with pytest.raises(pincal.MechanismError, match="no fixed joint of the URDF can hold"):
         calibrated_urdf(other, arm)
 
 
@@ -793,7 +793,7 @@ def test_legs_of_a_folder_are_their_own_urdfs(tmp_path: Path) -> None:
         for key, expected in origins_of((tmp_path / "true" / f"{name}.urdf").read_bytes()).items():
             np.testing.assert_allclose(joints[key], expected, atol=1e-11)
     (folder / "leg_2.urdf").rename(tmp_path / "mine.urdf")
-    with pytest.raises(pincal.MechanismError, match=r"name the file as the leg"):
+    with pytest.raises(pincal.MechanismError, match=r"give the file the name of its leg"):
         calibrated_urdf(tmp_path / "mine.urdf", true)
 
 
@@ -865,7 +865,7 @@ def test_an_open_loop_is_said(tmp_path: Path) -> None:
     mechanism = pincal.load_mechanism(tmp_path / "bar")
     moved = max(abs(joint.home) for leg in mechanism.legs for joint in leg.moving)
     text = " ".join(outcome.err.split())
-    assert "warning: as drawn the loops are open by 0.03 m" in text
+    assert "warning: as drawn, the loops are open by 0.03 m" in text
     assert f"moved by up to {moved:.3g} rad" in text
     assert f"loops closed by {tmp_path / 'open' / 'robot.yaml'}" in outcome.out
     closed = done("import", five_bar(tmp_path / "closed"), "-o", tmp_path / "bar2")

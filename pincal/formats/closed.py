@@ -1,7 +1,7 @@
-"""A tree with loops becomes a mechanism: legs, platform, drives, and the parameters of its joints.
+"""Mechanisms of trees with loops: legs, platform, drives, and the parameters of the joints.
 
-Every joint that moves, the tip and the platform's point may be displaced in all directions; of
-these displacements each leg keeps those that its closure can distinguish (``independent``).
+Every joint that moves, the tip and the platform's point may be displaced in all directions; each
+leg keeps the displacements that its closure can distinguish (``independent``) as parameters.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from pincal.model.platform import Platform
 from pincal.types import Array
 
 _WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
-_NUMBERS = 10  # along a leg, whose digits may be cut: two across each of five joints
+_NUMBERS = 10  # numbers along a leg whose digits may be cut: two across each of five joints
 
 
 def slack_of(text: str) -> float:
-    """Return how far digits that an XML file does not write may have moved a leg's frames.
+    """Return how far digits cut from an XML file may have moved a leg's frames, [rad] or relative.
 
-    Half a unit in the last digit, of its size and [rad], times the numbers along a leg; numbers of
-    less than four digits are exact, but for right angles: 1.57 is cut.
+    It is half a unit in the last digit times the numbers along a leg. Numbers of less than four
+    digits count as exact, except multiples of a right angle such as 1.57.
     """
     cut = 0.0
     for kinds in _WRITTEN:
@@ -62,7 +62,7 @@ def slack_of(text: str) -> float:
 
 
 def _joints_moved(drawn: Sequence[Leg], mechanism: Mechanism, slack: float) -> Iterator[str]:
-    """Yield a sentence on how far loops are open as drawn and joints moved, if beyond rounding."""
+    """Yield a sentence on the gap of the drawn loops and the moved joints, if beyond rounding."""
     gap = opening(drawn, mechanism.platform)
     homes = {joint.name: joint.home for leg in drawn for joint in leg.moving}
     moved: dict[str, tuple[float, str]] = {}
@@ -71,7 +71,7 @@ def _joints_moved(drawn: Sequence[Leg], mechanism: Mechanism, slack: float) -> I
         moved[unit] = max(moved.get(unit, (0.0, "")), (way, joint.name))
     far = " and ".join(f"{way:.3g} {unit} ({name})" for unit, (way, name) in moved.items())
     if gap > max(ALIKE, slack) * mechanism.size:
-        yield f"as drawn the loops are open by {gap:.3g} m: joints were moved by up to {far}"
+        yield f"as drawn, the loops are open by {gap:.3g} m: joints were moved by up to {far}"
 
 
 _FREEDOMS = {(2, 0): "point", (2, 1): "planar", (3, 0): "translational", (3, 3): "spatial"}
@@ -81,10 +81,9 @@ _SPATIAL, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "rz")
 def closed_mechanism(
     tree: Tree, platform: str | None = None, base: str | None = None
 ) -> tuple[Mechanism, tuple[str, ...]]:
-    """Return the mechanism of a tree with loops, and sentences on what is not as it is drawn.
+    """Return the mechanism of a tree with loops, and sentences on differences from the drawing.
 
-    Its platform is a link, that in which the legs meet if not given; its base another one, or the
-    root.
+    Platform and base are names of links; by default the link in which the legs meet, and the root.
     """
     with located(tree.source, MechanismError):
         if base is not None:
@@ -123,9 +122,9 @@ def closed_mechanism(
 def _legs(
     tree: Tree, limbs: list[Limb], platform: str | None, normal: Array | None
 ) -> tuple[str, list[Leg]]:
-    """Return the kind of platform and the legs, in frames whose z is across the plane if planar.
+    """Return the kind of platform, and the legs without parameters.
 
-    They have no parameters.
+    In the plane, z of all frames is the normal of the plane.
     """
     turn = np.eye(3)
     if platform is None:
@@ -145,9 +144,10 @@ def _legs(
 
 
 def _guiding(tree: Tree, limbs: list[Limb], kind: str) -> tuple[list[Limb], str]:
-    """Return the limbs that are legs, and the kind of platform, which one without a drive may say.
+    """Return the limbs that are legs, and the kind of platform.
 
-    A way on which the platform floats, as one over the drive that carries the base, is no leg.
+    A limb without drives that gives the kind by its joints is no leg, nor is one on which the
+    platform moves freely in space.
     """
     legs = []
     for limb in limbs:
@@ -168,7 +168,7 @@ def _guiding(tree: Tree, limbs: list[Limb], kind: str) -> tuple[list[Limb], str]
 
 
 def _freedoms(path: list[Step]) -> str | None:
-    """Return the kind of platform that a row of slides and turns frees; None for another."""
+    """Return the kind of platform that a chain of slides and then revolutes allows, or None."""
     kinds = [edge.joint.kind for edge, forward in path if forward and edge.closes == "frame"]
     if len(kinds) != len(path) or kinds != sorted(kinds):  # slides first
         return None
@@ -176,9 +176,9 @@ def _freedoms(path: list[Step]) -> str | None:
 
 
 def _in_frames(leg: Leg, normal: Array | None, C_platform: Array, slack: float) -> Leg:
-    """Return a leg in the plane, z of every frame across it, in a base frame that has it so.
+    """Return a leg in frames whose z is the normal of the plane.
 
-    In space only its platform's frame is turned; ``C_platform`` is how that is in its link.
+    In space only the platform's frame is turned; ``C_platform`` is its rotation in its link.
     """
 
     def in_platform(point: Joint) -> Joint:
@@ -193,7 +193,7 @@ def _in_frames(leg: Leg, normal: Array | None, C_platform: Array, slack: float) 
     if normal is None:
         return leg
     joints: list[Joint] = []
-    turns = {-1: (onto_normal(normal), np.eye(3))}  # of each link: how its frame is turned, is
+    turns = {-1: (onto_normal(normal), np.eye(3))}  # turn of each link's frame; its orientation
     tips = [end.tip for end in leg.every_end if end.point and end.closes == "frame"]
     for i, (joint, carrier) in enumerate(zip(leg.joints, leg.carriers, strict=True)):
         C, R = turns[carrier]
@@ -207,7 +207,7 @@ def _in_frames(leg: Leg, normal: Array | None, C_platform: Array, slack: float) 
 
 
 def _upright(joint: Joint, C: Array, C_child: Array) -> Joint:
-    """Return a joint between links whose frames are turned, in the plane but for cut digits."""
+    """Return a joint between links whose frames were turned, made exactly planar."""
     origin = joint.placement.origin()
     if not (np.array_equal(C, np.eye(3)) and np.array_equal(C_child, np.eye(3))):
         origin[:3] = C.T @ origin[:3]
@@ -226,14 +226,14 @@ def _upright(joint: Joint, C: Array, C_child: Array) -> Joint:
 
 
 def _named(name: str, leg: Leg, shared: Counter[str]) -> Leg:
-    """Return a named leg, whose platform points have names of their own."""
+    """Return a leg with a name, and with unique names of its platform points."""
 
     def renamed(point: Joint, place: int = 1) -> Joint:
         if shared[point.name] > 1 or point.name == "point":
             return replace(point, name=f"{name}_point" + f"_{place}" * (place > 1))
         return point
 
-    joints = [replace(joint, mass=0.0, centre=Joint.centre) for joint in leg.joints]  # turned
+    joints = [replace(joint, mass=0.0, centre=Joint.centre) for joint in leg.joints]  # frames moved
     ends = (end.moved(partial(renamed, place=i)) for i, end in enumerate(leg.ends, 2))
     return replace(
         leg,
@@ -245,7 +245,7 @@ def _named(name: str, leg: Leg, shared: Counter[str]) -> Leg:
 
 
 def _joint_remarks(tree: Tree, legs: Sequence[Leg]) -> Iterator[str]:
-    """Yield a sentence for each joint that is held, as it moves no end, or outside its limits."""
+    """Yield a sentence for each joint that is fixed, as it moves no end, or is beyond limits."""
     moving = {edge.joint.name for edge in tree.edges if edge.joint.kind != "fixed"}
     moving |= {f"{edge.joint.name}_{axis}" for edge in tree.loops for axis in "xyz"}
     for leg in legs:
@@ -259,7 +259,7 @@ def _joint_remarks(tree: Tree, legs: Sequence[Leg]) -> Iterator[str]:
 
 
 def _leg_names(legs: Sequence[Leg]) -> list[str]:
-    """Return what the names of each leg's joints begin with, or otherwise numbers."""
+    """Return the common prefixes of the legs' joint names as names of legs, or else leg_1, …."""
     names = []
     for leg in legs:
         moving = [joint.name for joint in leg.moving]
@@ -273,7 +273,7 @@ def _leg_names(legs: Sequence[Leg]) -> list[str]:
 
 
 def _stems(legs: Sequence[Leg]) -> list[list[str]]:
-    """Return for each leg its joints' names less its own, if all are alike; else joint_1, …."""
+    """Return the joints' names without their leg's, if equal for all legs; else joint_1, …."""
     stems = []
     for leg in legs:
         bare = [joint.name.removeprefix(leg.name) for joint in leg.articulated]

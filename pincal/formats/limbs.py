@@ -1,8 +1,8 @@
-"""Limbs: the graph of bodies, cut at base and platform; each piece is a leg, a tree with ends.
+"""Limbs: pieces of the graph of bodies, cut at base and platform; each becomes a leg with ends.
 
-Its spanning tree from the base gives the joints. Each bond with the platform is an end, and so is
-each bond that closes a loop within. An end whose last joints, all passive, meet in a point (three
-revolute axes; in the plane, one) closes that point; any other closes a frame.
+The spanning tree of a piece, from the base, gives the leg's joints. Each bond with the platform is
+an end, and so is each bond that closes a loop within. An end whose last joints are passive and meet
+in a point (three revolute axes; in the plane, one) closes a point; any other closes a frame.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ _IN_EACH_LEG = ([0, 3], [0, 4], [1, 3], [1, 4])  # drives among five joints of a
 
 @dataclass(frozen=True)
 class Limb:
-    """What lies between base and platform in one piece: ways from the base."""
+    """One piece between base and platform, as routes from the base."""
 
     ends: list[list[Step]]
-    """To the platform, one or more."""
+    """Routes to the platform, one or more."""
     loops: list[tuple[list[Step], list[Step]]]
-    """To a body of the limb, by the bond that closes the loop, and by the others."""
+    """Two routes to a body of the limb: over the bond that closes the loop, and along the tree."""
 
     @property
     def steps(self) -> list[Step]:
-        """Steps over all its bonds, each once."""
+        """Steps over all bonds of the limb, each once."""
         ways = [*self.ends, *(way for loop in self.loops for way in loop)]
         return list(dict.fromkeys(step for way in ways for step in way))
 
 
 def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, list[str]]:
-    """Return the limbs between base and platform, a link of this, and joints that are left out.
+    """Return the limbs between base and platform, the platform's link, and joints left out.
 
-    The link is None if there is but one loop, and then its one way goes round, back to the base.
+    With a single loop and no platform, the link is None, and one route leads back to the base.
     """
     graph, named = _Graph(tree), platform is not None
     base = graph.body[tree.root]
@@ -57,8 +57,8 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
     platform = platform or graph.outermost(base)
     if not graph.bonds:
         raise MechanismError(
-            "its joints form no loop; list what closes the loops (closed_loop of a YAML file, see "
-            "--loops; <equality> of MJCF), or import a serial arm with --tip LINK"
+            "its joints form no loop; list the closures (closed_loop of a YAML file, see --loops; "
+            "<equality> of MJCF), or import a serial arm with --tip LINK"
         )
     goal = graph.platform(base, platform)
     limbs = [Limb([graph.round()], [])] if goal == base else graph.limbs(base, goal)
@@ -66,7 +66,7 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
     lost = [bond.joint.name for bond in graph.bonds if bond not in bonds]
     if lost and not named:
         raise MechanismError(
-            f"{listed(lost)} lie on no way from the base {tree.root!r} to the platform "
+            f"{listed(lost)} lie on no route from the base {tree.root!r} to the platform "
             f"{graph.named(goal)}; is another link the base or the platform (--base, --platform)?"
         )
     tree.check_joints(sorted(bond.joint.name for bond in bonds))
@@ -74,11 +74,11 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
 
 
 class _Graph:
-    """Bodies, links that are fixed to each other, and the bonds in which these move."""
+    """Graph of bodies, which are links fixed to each other, and bonds, the edges that move."""
 
     def __init__(self, tree: Tree) -> None:
         self.tree = tree
-        #: For each link the link that represents its body: the first one of the tree.
+        #: For each link, the link that represents its body: the first one in the tree.
         self.body = {link: link for link in tree.links}
         edges = (*tree.edges, *tree.loops)
         for edge in tree.fixed:
@@ -89,25 +89,25 @@ class _Graph:
             if self.body[bond.parent] == self.body[bond.child]:
                 raise MechanismError(
                     f"{bond.joint.name!r} joins {bond.parent!r} and {bond.child!r}, which are "
-                    "fixed to each other; look at the loops that close whole frames"
+                    "fixed to each other; check the loops that close whole frames"
                 )
 
     def ends(self, bond: Edge) -> tuple[str, str]:
-        """Return the bodies that a bond joins."""
+        """Return the two bodies that a bond joins."""
         return self.body[bond.parent], self.body[bond.child]
 
     def degrees(self) -> Counter[str]:
-        """Return how many bonds each body has."""
+        """Return the number of bonds of each body."""
         return Counter(body for bond in self.bonds for body in self.ends(bond))
 
     def named(self, body: str) -> str:
-        """Return the links of a body for a message."""
+        """Return the names of a body's links, for a message."""
         return "/".join(repr(link) for link in self.tree.links if self.body[link] == body)
 
     def outermost(self, base: str) -> str | None:
-        """Return the link ``platform``, or the one that carries and closes nothing: a foot, a tool.
+        """Return the link ``platform``, or the only outermost link, such as a foot or a tool.
 
-        Of bodies with bonds; None if there are several, or it is fixed to the base.
+        Its body has bonds, but the link carries nothing and closes no loop; None if not unique.
         """
         used = {edge.parent for edge in self.tree.edges}
         used |= {name for edge in self.tree.loops for name in (edge.parent, edge.child)}
@@ -118,7 +118,7 @@ class _Graph:
         return ends[0] if len({self.body[link] for link in ends}) == 1 else None
 
     def prune(self, keep: set[str]) -> list[str]:
-        """Drop the bonds that lie in no loop, and return their names."""
+        """Remove the bonds that lie in no loop, and return their joints' names."""
         loose: list[str] = []
         while leaves := {name for name, count in self.degrees().items() if count == 1} - keep:
             hanging = [bond for bond in self.bonds if leaves.intersection(self.ends(bond))]
@@ -127,9 +127,9 @@ class _Graph:
         return loose
 
     def platform(self, base: str, link: str | None) -> str:
-        """Return the platform's body: where ways meet, or a four-bar's coupler, or else the base.
+        """Return the platform's body: where routes meet, a four-bar's coupler, or else the base.
 
-        The coupler is the body that no joint ties to the base.
+        By default it is the only body, beside the base, with more than two bonds.
         """
         degrees = self.degrees()
         if link is not None:
@@ -142,14 +142,13 @@ class _Graph:
         if len(meeting) > 1:
             places = listed(self.named(name) for name in meeting)
             raise MechanismError(
-                f"ways meet in {len(meeting)} bodies ({places}), each of which may be the "
-                "platform: name it with --platform LINK, or the base, if it is another link "
-                "(--base)"
+                f"routes meet in {len(meeting)} bodies ({places}), each of which may be the "
+                "platform: name it with --platform LINK, or name another base (--base)"
             )
         return meeting[0] if meeting else self.coupler(base)
 
     def coupler(self, base: str) -> str:
-        """Return the body of a four-bar that no joint ties to the base, or else the base."""
+        """Return the body of a four-bar that no joint connects to the base, or else the base."""
         on_base = [bond for bond in self.bonds if base in self.ends(bond)]
         slides = any(bond.joint.kind == "prismatic" for bond in self.bonds)
         if slides or len(self.bonds) != 4 or not on_base:
@@ -158,7 +157,7 @@ class _Graph:
         return next(body for body in self.degrees() if body not in tied)
 
     def round(self) -> list[Step]:
-        """Return the one loop that there is, from the base back to it."""
+        """Return the only loop, as a route from the base back to it."""
         root = self.tree.root
         first = next((b for b in self.bonds if self.body[root] in self.ends(b)), None)
         if first is None:
@@ -171,9 +170,9 @@ class _Graph:
         return [(first, forward), *(step for step in steps if step[0].moves)]
 
     def limbs(self, base: str, goal: str) -> list[Limb]:
-        """Return the limbs between two bodies: pieces into which the graph falls, cut there.
+        """Return the limbs between two bodies: the pieces of the graph after cuts there.
 
-        Joints that follow another one are in one piece with it.
+        A joint that follows another joint is in the same piece.
         """
         touching = [
             [
@@ -192,9 +191,9 @@ class _Graph:
         return [limb for limb in limbs if limb.ends]
 
     def limb(self, bonds: Sequence[Edge], base: str, goal: str) -> Limb:
-        """Return the limb of a piece's bonds; without ends if it is not between base and goal.
+        """Return the limb of a piece's bonds; it has no ends if it is not between base and goal.
 
-        Its tree grows along joints first, and along what closes loops where it must.
+        The tree grows along joints first, and along loop closures only where it must.
         """
         ways: dict[str, list[Step]] = {base: []}
         limb, unused = Limb([], []), sorted(bonds, key=self.tree.loops.__contains__)
@@ -218,10 +217,10 @@ class _Graph:
 
 
 def leg_of(tree: Tree, limb: Limb, platform: str, normal: Array | None) -> Leg:
-    """Return the leg, without parameters, that a limb is.
+    """Return the leg of a limb, without parameters.
 
-    In a plane if there is a normal, in the root's frame. Where a way closes the platform's frame,
-    that is a link of the leg, on which further ways close loops within.
+    ``normal`` is that of its plane in the root's frame, or None. If a route closes the platform's
+    frame, the platform is a link of the leg, on which further routes close loops within.
     """
     closed = [_platform_end(tree, steps, platform, normal) for steps in limb.ends]
     loops, frames = list(limb.loops), [end[2] == "frame" for end in closed]
@@ -246,7 +245,7 @@ def _sensors(tree: Tree, joints: Iterable[Joint]) -> tuple[Sensor, ...]:
 
 
 def _hang(joints: list[Joint], way: Iterable[Joint]) -> str:
-    """Hang the joints of a way, where they are not yet, on those that are; return its last one."""
+    """Add the joints of a route that are not yet in ``joints``; return its last joint's name."""
     parent = ""
     for joint in way:
         if all(joint.name != hung.name for hung in joints):
@@ -259,9 +258,9 @@ def _hang(joints: list[Joint], way: Iterable[Joint]) -> str:
 def _loop_end(
     tree: Tree, near: list[Step], far: list[Step], joints: list[Joint], normal: Array | None
 ) -> End:
-    """Return the end that closes a loop within a leg, whose two ways are hung on its joints.
+    """Return the end that closes a loop within a leg; both routes are added to its joints.
 
-    A loop in a plane closes x and y of a frame whose z is across it.
+    A planar loop closes x and y of a frame whose z is the normal of its plane.
     """
     stem = sum(1 for a, b in zip(near, far, strict=False) if a == b)
     plane = plane_of(tree, [*near[stem:], *far[stem:]])
@@ -287,7 +286,7 @@ def _loop_end(
 def _platform_end(
     tree: Tree, path: Sequence[Step], platform: str, normal: Array | None
 ) -> tuple[list[Joint], Joint, Closing]:
-    """Return the joints along a way to a link of the platform, what they meet there, and how."""
+    """Return the joints along a route to the platform, the platform point, and the closure."""
     joints, place = _to_point(tree, _joints_to(tree, path, platform, normal), normal)
     if place is None:
         return joints, Joint("point", "fixed"), "frame"
@@ -297,7 +296,7 @@ def _platform_end(
 def _joints_to(
     tree: Tree, path: Sequence[Step], link: str | None, normal: Array | None
 ) -> list[Joint]:
-    """Return the joints along a path, from the root to a link, or to where the path ends."""
+    """Return the joints along a path from the root to a link, by default where the path ends."""
     steps, reached = list[Step](), tree.root
     for edge, forward in path:
         start, end = (edge.parent, edge.child)[:: 1 if forward else -1]
@@ -310,9 +309,9 @@ def _joints_to(
 def _to_point(
     tree: Tree, joints: list[Joint], normal: Array | None
 ) -> tuple[list[Joint], Array | None]:
-    """Return a way's joints less the last passive ones, if these meet in a point, and where.
+    """Return a route's joints without the last passive ones, if these meet in a point, and it.
 
-    The point is seen from the last frame, shape (3,); None if the way closes a frame.
+    The point is in the last frame, shape (3,), [m]; None if the route closes a frame.
     """
     count = 3 if normal is None else 1
     moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
@@ -336,7 +335,7 @@ def _to_point(
 
 
 def _point(tree: Tree, platform: str, last: Step, place: Array) -> Joint:
-    """Return the platform's point at a place: by the file's own frame if it has one there."""
+    """Return the platform point at a place; if the file has a frame there, it is that frame."""
     edge, forward = last
     last_link = edge.child if forward else edge.parent
     frames = joints_along(tree, route(tree.fixed, platform, last_link))
@@ -347,7 +346,7 @@ def _point(tree: Tree, platform: str, last: Step, place: Array) -> Joint:
 
 
 def _meeting_point(origins: Array, axes: Array, slack: float) -> Array | None:
-    """Return where three axes meet that turn in all directions, shape (3,); None if nowhere."""
+    """Return the point, shape (3,), in which three skew axes meet; None if they do not."""
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     turning = np.linalg.norm(np.cross(axes[:-1], axes[1:]), axis=1)
     if (turning < 1e-6).any():
@@ -364,7 +363,7 @@ def _meeting_point(origins: Array, axes: Array, slack: float) -> Array | None:
 def _up_to(joints: Sequence[Joint], dropped: Joint, centre: Array) -> list[Joint]:
     """Return a leg's joints up to a point, in the frame that carries the dropped joint."""
     if joints and joints[-1].kind == "fixed" and not centre.any():
-        return list(joints)  # the point is where this one already is
+        return list(joints)  # the last joint is already at the point
     x, y, z = map(float, centre)
     placement = Placement((), (x, y, z), dropped.placement.rpy)
     return [*joints, Joint(dropped.name, "fixed", placement)]
@@ -374,7 +373,7 @@ def point_platform(tree: Tree, path: Sequence[Step], normal: Array | None) -> li
     """Return two legs of two joints, one driven, that meet in a point of a planar loop."""
     if normal is None:
         raise MechanismError(
-            "one loop, which leaves open what the platform is; name it with --platform LINK"
+            "one loop, in which any link may be the platform; name it with --platform LINK"
         )
     legs: list[Leg] = []
     names, middle = [edge.joint.name for edge, _ in path], path[len(path) // 2][0]
@@ -417,7 +416,7 @@ def plane_of(tree: Tree, steps: Iterable[Step]) -> Array | None:
 
 
 def onto_normal(normal: Array, slack: float = 0.0) -> Array:
-    """Return the smallest turn of z onto a unit vector, (3, 3), none within a slack."""
+    """Return the smallest rotation of z onto a unit vector, (3, 3); the identity within a slack."""
     if normal[2] > 1.0 - EXACT or np.hypot(normal[0], normal[1]) < slack:
         return np.eye(3)
     if normal[2] < EXACT - 1.0:

@@ -1,8 +1,8 @@
-"""MJCF as MuJoCo reads it: a tree with loops, couplings and drives; and a mechanism as MJCF.
+"""Reading of MJCF as a tree with loops, couplings and drives; and writing of mechanisms as MJCF.
 
 MuJoCo's own compiler resolves defaults, includes, frames, replicas and every notation of an
-orientation; what it compiled is the kinematics that simulation uses (``body_pos``, ``jnt_axis``,
-``qpos0``, ``eq_data``). Joints count from where the file draws them, so a ``ref`` is not added.
+orientation. The compiled model has the kinematics that simulation uses (``body_pos``, ``jnt_axis``,
+``qpos0``, ``eq_data``). Joints are zero where the file draws them, so a ``ref`` is not added.
 Source: MuJoCo's documentation, "Computation" and ``mjmodel.h``.
 """
 
@@ -81,7 +81,7 @@ def read_mjcf(path: Path) -> Tree:
 
 
 def _compiled(path: Path) -> mujoco.MjModel:
-    """Return MuJoCo's model of a file, for which no mesh or picture is opened."""
+    """Return MuJoCo's model of a file without opening meshes and pictures."""
     try:
         handler = mujoco.get_mju_user_warning()
     except ModuleNotFoundError as error:
@@ -90,25 +90,25 @@ def _compiled(path: Path) -> mujoco.MjModel:
         ) from error
     mujoco.set_mju_user_warning(lambda _: None)  # it writes a log into the working folder
     try:
-        with warnings.catch_warnings(action="ignore"):  # of masses, which do not count here
+        with warnings.catch_warnings(action="ignore"):  # masses do not matter here
             spec = mujoco.MjSpec.from_file(str(path))
             _drop_shapes(spec)
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
         fault = " ".join(_NOISE.sub("", str(error)).split())[:240]
-        raise MechanismError(f"{path}: MuJoCo does not read it: {fault}") from error
+        raise MechanismError(f"{path}: MuJoCo cannot read it: {fault}") from error
     finally:
         mujoco.set_mju_user_warning(handler)
     places = (model.body_pos, model.jnt_pos, model.jnt_axis, model.site_pos, model.eq_data)
     turns_of_places = np.linalg.norm(np.concatenate((model.body_quat, model.site_quat)), axis=1)
     small = all((np.abs(numbers) <= LARGEST).all() for numbers in places)
     if not (small and (turns_of_places > 0.0).all()):
-        raise MechanismError(f"{path}: a place holds a number that is not finite or too large")
+        raise MechanismError(f"{path}: a position or axis has a number not finite or too large")
     return model
 
 
 def _drop_shapes(spec: mujoco.MjSpec) -> None:
-    """Put something small in place of files of shapes; fuse no bodies, turn none to its inertia."""
+    """Replace files of shapes by small ones; keep all bodies, and their frames as drawn."""
     for mesh in spec.meshes:
         mesh.file, mesh.uservert = "", _TETRAHEDRON
     for texture in spec.textures:
@@ -125,13 +125,13 @@ def _drop_shapes(spec: mujoco.MjSpec) -> None:
 
 
 def _names(model: mujoco.MjModel, kind: int, unnamed: list[str]) -> list[str]:
-    """Return the names of all objects of a kind, and other ones for those without."""
+    """Return the names of all objects of a kind; ``unnamed`` has one for each without a name."""
     named = [mujoco.mj_id2name(model, kind, i) for i in range(len(unnamed))]
     return [name or substitute for name, substitute in zip(named, unnamed, strict=True)]
 
 
 def _pose(position: Array, quaternion: Array = _STILL) -> Array:
-    """Return a pose, shape (4, 4), of a position [m] and a quaternion, its scalar first."""
+    """Return the pose, shape (4, 4), of a position [m] and a quaternion, scalar first."""
     matrix = np.eye(4)
     matrix[:3, 3] = position
     matrix[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
@@ -139,7 +139,7 @@ def _pose(position: Array, quaternion: Array = _STILL) -> Array:
 
 
 def _edges(model: mujoco.MjModel, body: int, links: list[str], joints: list[str]) -> Iterator[Edge]:
-    """Yield a body's joints one after the other, each in a frame at its anchor."""
+    """Yield edges of a body's joints in series, each in a frame at its anchor."""
     link, name = links[model.body_parentid[body]], links[body]
     T_link_body = _pose(model.body_pos[body], model.body_quat[body])
     anchor = np.zeros(3)
@@ -172,7 +172,7 @@ def _edges(model: mujoco.MjModel, body: int, links: list[str], joints: list[str]
 
 
 def _home(model: mujoco.MjModel, joints: list[str]) -> dict[str, float]:
-    """Return the joint positions of the first keyframe, by name, from where they are drawn."""
+    """Return the joint positions of the first keyframe, by name, zero where the file draws them."""
     home: dict[str, float] = {}
     for i in range(model.njnt if model.nkey else 0):
         kind, address = model.jnt_type[i], model.jnt_qposadr[i]
@@ -180,16 +180,16 @@ def _home(model: mujoco.MjModel, joints: list[str]) -> dict[str, float]:
         if kind == mujoco.mjtJoint.mjJNT_BALL:
             angles = turns_in_series(_pose(np.zeros(3), qpos)[None, :3, :3])[0]
             home |= {f"{joints[i]}_{axis}": float(a) for axis, a in zip("xyz", angles, strict=True)}
-        elif kind != mujoco.mjtJoint.mjJNT_FREE:  # where a free body is follows from the loops
+        elif kind != mujoco.mjtJoint.mjJNT_FREE:  # loops determine the pose of a free body
             home[joints[i]] = float(qpos[0] - model.qpos0[address])
     return home
 
 
 def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
-    """Yield what connect and weld close.
+    """Yield the edges that connect and weld close.
 
-    Of bodies both anchors are in ``eq_data``: of connect that of the first body, then the
-    second's; of weld the second's, then the pose that the first body sees it in.
+    For bodies, ``eq_data`` has both anchors: for connect the first body's, then the second's; for
+    weld the second's, then its pose in the first body.
     """
     for i, data in enumerate(model.eq_data):
         connects = model.eq_type[i] == mujoco.mjtEq.mjEQ_CONNECT
@@ -205,7 +205,7 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
         else:
             poses = [_pose(data[3:6], data[6:10]), _pose(data[:3])]
         if (model.body_mocapid[ends] >= 0).any():
-            continue  # what is dragged by hand is no part of the machine
+            continue  # a mocap body is moved by the user, and no part of the machine
         first, second = map(placement_of, poses)
         joint = Joint(model.eq(i).name or f"loop_{i + 1}", "fixed", first)
         closes: Closing = "point" if connects else "frame"
@@ -215,9 +215,9 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
 def _coupled(
     model: mujoco.MjModel, joints: list[str], path: Path
 ) -> tuple[dict[str, Follows], dict[str, str]]:
-    """Return what joints follow, by name, and why others cannot move on their own.
+    """Return the joints that others follow, and errors for joints coupled otherwise, by name.
 
-    Positions count from where the file draws them, as the coefficients of such a coupling do. A
+    Positions are zero where the file draws them, as the coefficients of a coupling assume. A
     tendon through space couples all joints.
     """
     coupled, follows = list[int](), dict[str, Follows]()
@@ -236,19 +236,19 @@ def _coupled(
                 fixed = (model.wrap_type[along] == mujoco.mjtWrap.mjWRAP_JOINT).all()
                 coupled += model.wrap_objid[along].tolist() if fixed else range(model.njnt)
     return follows, {
-        joints[i]: f"{path}: an <equality> couples joint {joints[i]!r} to others, and not by a "
+        joints[i]: f"{path}: an <equality> couples joint {joints[i]!r} to others, but not by a "
         "ratio to one of them"
         for i in coupled
     }
 
 
 def mjcf(mechanism: Mechanism) -> str:
-    """Return the MJCF file of a mechanism at nominal parameters; home closes the loops if it can.
+    """Return a mechanism at nominal parameters as MJCF; the keyframe closes the loops if possible.
 
-    The platform hangs on the base by its own freedoms, all passive, and each leg ends in a loop
-    with it: so legs of any number of joints, and platforms of any kind, come out alike, and come in
-    again. A serial arm has no loop, and its tip is the platform. Joints keep their names if all
-    legs' differ; else they are ``leg_joint``.
+    The platform is connected to the base by its freedoms as passive joints, and each leg closes a
+    loop with it; so legs and platforms of any kind are written alike and can be read again. A
+    serial arm has no loop, and its tip is the platform. Joints keep their names if all are unique;
+    otherwise they are ``leg_joint``.
     """
     with suppress(MechanismError):
         legs, platform = assembled(mechanism.legs, mechanism.platform)
@@ -281,7 +281,7 @@ def mjcf(mechanism: Mechanism) -> str:
 
 
 def _drive(leg: Leg, stem: str, equality: etree._Element, actuators: etree._Element) -> None:
-    """Add what drives the joints of a leg, and what couples those that follow others."""
+    """Add actuators of a leg's active joints, and equalities of joints that follow others."""
     for name in (stem + sensor.joint for sensor in leg.sensors):
         etree.SubElement(actuators, "position", name=name, joint=name)
     for joint in (joint for joint in leg.joints if joint.follows):
@@ -298,7 +298,7 @@ def _close(
     carried: etree._Element,
     equality: etree._Element,
 ) -> None:
-    """Add sites where ends of a leg meet the platform's body or its own, and what closes them."""
+    """Add sites where a leg's ends meet the platform's body or its own, and their equalities."""
     for place, end in enumerate(leg.every_end, 1):
         name = leg.name + f"_{place}" * (place > 1)
         sites = {"site1": f"{name}_tip", "site2": f"{name}_end"}
@@ -308,7 +308,7 @@ def _close(
             met = bodies[leg.index(end.meets)]
         else:
             x, y, z = end.meets.placement.xyz
-            if platform.space == 2:  # at the height of the tip
+            if platform.space == 2:  # in the plane, points are at the height of the tip
                 z = float(leg.link_placements(leg.home[None])[0, leg.index(end.tip), 2, 3])
             pose = _written_pose(Placement((), (x, y, z), end.meets.placement.rpy))
         etree.SubElement(met, "site", {"name": sites["site2"], **pose})
@@ -332,7 +332,7 @@ def _chain(
     thickness: float,
     carriers: Sequence[int] | None = None,
 ) -> list[etree._Element]:
-    """Hang a body with each joint, and a rod to it, on that before or that of its carrier."""
+    """Add a body for each joint, and a rod to it, on the body before or of the joint's carrier."""
     bodies: list[etree._Element] = []
     for index, joint in enumerate(joints):
         carrier = index - 1 if carriers is None else carriers[index]
@@ -365,14 +365,14 @@ def _written_pose(placement: Placement) -> dict[str, str]:
 
 
 def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
-    """Return what neighbours' files have no place for, as a sentence, if anything."""
+    """Return a sentence on sensors and terms that other programs' files cannot hold, if any."""
     legs = [
         leg.name
         for leg in mechanism.legs
         if leg.terms or not all(s.reads_position(leg.nominal_by_name) for s in leg.sensors)
     ]
     remark = (
-        "the file holds joint positions of one machine, not readings: gains, offsets, zeros and "
-        f"terms of {', '.join(legs)} have no place in it"
+        "the file holds joint positions of one machine, not readings: it cannot hold gains, "
+        f"offsets, zeros and terms of {', '.join(legs)}"
     )
     return (remark,) * bool(legs)

@@ -1,17 +1,17 @@
-"""A user's own URDF: what closes its loops, and calibrated origins, every other byte as it was.
+"""A user's URDF: loops closed by a YAML file, and calibrated origins written into the same file.
 
 The YAML file beside it follows the convention of example-parallel-robots: ``closed_loop`` lists
-pairs of frames that meet, ``type`` says of each whether their origins do ('3d') or the whole frames
-('6d', as where nothing is said), ``name_mot`` names the motors, whole or in part; ``joint_name``
-and ``joint_type`` replace joints by others (SPHERICAL, FIXED, CARDAN, UJOINT_XY and such), and
-``rotule_name`` those with it in their names by balls. Two keys are pincal's own: ``platform``, a
-link, and ``home``, joint positions in the configuration that is drawn.
+pairs of frames that meet, ``type`` whether their origins meet ('3d') or the whole frames ('6d', the
+default), ``name_mot`` the motors, by name or part of it; ``joint_name`` and ``joint_type`` replace
+joints by others (SPHERICAL, FIXED, CARDAN, UJOINT_XY and the like), and ``rotule_name`` replaces
+joints with this text in their names by balls. Two keys are pincal's own: ``platform``, a link, and
+``home``, joint positions in the drawn configuration.
 Source: github.com/Gepetto/example-parallel-robots, ``loader_tools.py``.
 
-A joint of the mechanism and the joint of the URDF with its name sit on the same link if the joints
-before them are the same: then the calibrated placement is the new origin. What the calibration
-found between the last joint and the platform's frame, for which a URDF has no place if nothing is
-fixed there, moves the frames that are fixed to the platform's link instead.
+A joint of the mechanism and the URDF's joint of the same name are on the same link if the joints
+before them are the same; the calibrated placement is then the new origin. A displacement between
+the last joint and the platform's frame, which a URDF cannot hold if no joint is fixed there, is
+applied to the frames that are fixed to the platform's link.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Edges = Mapping[str, Edge]
 _TURNED = {"SPHERICAL": "xyz", "FIXED": "", "CARDAN": "xy"} | {
     f"UJOINT_{axes.upper()}": axes for axes in map("".join, permutations("xyz", 2))
 }
-#: Keys that the YAML file may have; others (rotor inertias and such) do not matter here.
+#: Keys of the YAML file that are read; others (rotor inertias and the like) are ignored.
 _LOOP_KEYS = ("closed_loop", "type", "joint_name", "joint_type", "rotule_name", "platform", "home")
 
 
@@ -55,7 +55,7 @@ def loops_beside(file: Path) -> Path | None:
 
 
 def read_loops(urdf: Path, loops: Path | None) -> Tree:
-    """Return the tree of a URDF with its loops, and those of a YAML file."""
+    """Return the tree of a URDF with its own loops and those of a YAML file."""
     if loops is None:
         return read_closed(urdf)
     keys = read_yaml(loops, MechanismError).keys(("name_mot",), _LOOP_KEYS, others=True)
@@ -72,7 +72,7 @@ def read_loops(urdf: Path, loops: Path | None) -> Tree:
     for name in home.keys() - set(joints):
         keys["home"].fail(f"'home' has {name!r}, no joint of {urdf}; it has {listed(joints)}")
     for name in replaced.keys() - set(drawn):
-        remarks[name] = f"{loops}: 'joint_name' has {name!r}, no joint of {urdf}: left out"
+        remarks[name] = f"{loops}: 'joint_name' has {name!r}, no joint of {urdf}: ignored"
     return replace(
         tree,
         edges=at_home(tree.edges, home),
@@ -86,18 +86,18 @@ def read_loops(urdf: Path, loops: Path | None) -> Tree:
 def _pairs(
     lists: Mapping[str, list[Entry]], first: str, second: str, loops: Path
 ) -> list[tuple[Entry, Entry]]:
-    """Return what belongs together of two lists."""
+    """Return pairs of entries of two lists, which must be equally long."""
     counts = len(lists[first]), len(lists[second])
     if counts[0] != counts[1]:
         raise MechanismError(
-            f"{loops}: {counts[0]} entries of {first!r}, but {counts[1]} of {second!r}; each "
-            "needs one"
+            f"{loops}: {counts[0]} entries of {first!r}, but {counts[1]} of {second!r}; expected "
+            "one for each"
         )
     return list(zip(lists[first], lists[second], strict=True))
 
 
 def _closings(tree: Tree, lists: Mapping[str, list[Entry]], loops: Path) -> Iterator[Edge]:
-    """Yield what closes the loops: pairs of links whose frames meet, or their origins alone."""
+    """Yield the edges that close loops: pairs of links whose frames, or origins, meet."""
     kinds = ["6d"] * len(lists["closed_loop"])
     if lists["type"]:
         pairs = _pairs(lists, "closed_loop", "type", loops)
@@ -110,7 +110,7 @@ def _closings(tree: Tree, lists: Mapping[str, list[Entry]], loops: Path) -> Iter
 
 
 def _motors(named: Entry, edges: Sequence[Edge], urdf: Path) -> tuple[str, ...]:
-    """Return the joints that ``name_mot`` means: of that name, or else with it in their names."""
+    """Return the joints of ``name_mot``: the one with a name, or else all that contain it."""
     moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
     motors: list[str] = []
     for entry in [named] if isinstance(named.value, str) else named.items():
@@ -118,8 +118,8 @@ def _motors(named: Entry, edges: Sequence[Edge], urdf: Path) -> tuple[str, ...]:
         matching = [name] if name in moving else [joint for joint in moving if name in joint]
         if not matching:
             entry.fail(
-                f"'name_mot' has {name!r}, but no joint of {urdf} that moves has that in its name; "
-                f"it has {listed(moving)}"
+                f"'name_mot' has {name!r}, but no moving joint of {urdf} has that in its name; it "
+                f"has {listed(moving)}"
             )
         motors += matching
     return tuple(dict.fromkeys(motors))
@@ -128,7 +128,7 @@ def _motors(named: Entry, edges: Sequence[Edge], urdf: Path) -> tuple[str, ...]:
 def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
     """Return the bytes of a URDF with the origins of a calibrated mechanism's joints.
 
-    It has the joints of an arm, of a tree with loops, of a leg (by its name), or of the platform.
+    The URDF may be of an arm, a tree with loops, a leg (by the file's name), or the platform.
     """
     path = Path(original)
     urdf = {edge.joint.name: edge for edge in read_urdf(path).edges}
@@ -156,15 +156,15 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
 def _moved(
     path: Path, urdf: Edges, placements: Mapping[str, Array], link: str, T_link_platform: Array
 ) -> dict[str, Array]:
-    """Return the frames on a link, all fixed, moved with the platform's that was found off it."""
+    """Return the origins of a link's frames, all fixed, after the platform's frame has moved."""
     on = [edge for edge in urdf.values() if edge.parent == link]
     if not on or any(edge.moves for edge in on):
         shift = ", ".join(f"{1e3 * v:.4g}" for v in T_link_platform[:3, 3])
         turn = ", ".join(f"{1e3 * v:.4g}" for v in placement_of(T_link_platform).rpy)
         raise MechanismError(
-            f"{path}: the platform's frame was found ({shift}) mm and ({turn}) mrad off link "
-            f"{link!r}, and no fixed joint of the URDF is there to hold it. Import with a "
-            "--tip or --platform that is fixed to that link, or hold it (--fixed)"
+            f"{path}: the calibrated platform frame is ({shift}) mm and ({turn}) mrad off link "
+            f"{link!r}, and no fixed joint of the URDF can hold that. Import with a --tip or "
+            "--platform that is fixed to that link, or hold the displacement at zero (--fixed)"
         )
     return {
         joint.name: T_link_platform @ placements.get(joint.name, joint.placement.origin())
@@ -173,7 +173,7 @@ def _moved(
 
 
 def _named(urdf: Edges, name: str) -> str | None:
-    """Return the joint of a URDF that a joint of the mechanism is, or is an axis of."""
+    """Return the URDF's joint that a joint of the mechanism represents, alone or as one axis."""
     stem = re.sub(r"_([xyz]|at)$", "", name)
     return name if name in urdf else stem if stem in urdf else None
 
@@ -189,15 +189,15 @@ def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism) -> list[Leg]:
     if not legs:
         joints = listed(joint.name for joint in mechanism.legs[0].moving)
         raise MechanismError(
-            f"{path} has none of the joints {joints}, …; give the URDF that {mechanism.name!r} was "
-            "made from"
+            f"{path} has none of the joints {joints}, …; give the URDF from which "
+            f"{mechanism.name!r} was made"
         )
     if len(set().union(*drawn.values())) == sum(map(len, drawn.values())):
         return legs
     if not (meant := [leg for leg in legs if leg.name == path.stem]):
         raise MechanismError(
-            f"{path}: {', '.join(leg.name for leg in legs)} have joints of these names; name the "
-            f"file as the leg whose URDF it is, such as {legs[0].name}.urdf"
+            f"{path}: {', '.join(leg.name for leg in legs)} have joints of the same names; give "
+            f"the file the name of its leg, such as {legs[0].name}.urdf"
         )
     return meant
 
@@ -206,7 +206,7 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
     """Return the origins of a leg's joints by name, (4, 4), base first."""
     carriers = {edge.child: _named(urdf, name) for name, edge in urdf.items()}
     origins: dict[str, Array] = {}
-    on: dict[int, str | None] = {-1: None}  # by which joint each link goes, or that before
+    on: dict[int, str | None] = {-1: None}  # the URDF's joint that carries each link
     for index, joint in enumerate(leg.joints):
         name, previous = _named(urdf, joint.name), on[leg.carriers[index]]
         if name is None or name in origins:
@@ -216,8 +216,8 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
             moved = np.abs(np.linalg.inv(nominal) @ joint.placement.origin() - np.eye(4)).max()
             if not held and moved > ROUNDING:
                 raise MechanismError(
-                    f"{path} has no joint {joint.name!r}, whose place was calibrated; give "
-                    f"the URDF that the mechanism was made from, or hold {', '.join(zeros)} "
+                    f"{path} has no joint {joint.name!r}, whose placement was calibrated; give "
+                    f"the URDF from which the mechanism was made, or hold {', '.join(zeros)} "
                     "(--fixed)"
                 )
             on[index] = previous if name in origins else joint.name
@@ -225,15 +225,15 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
         drawn, carrier = urdf[name].joint, carriers.get(urdf[name].parent)
         if previous and carrier != previous:
             raise MechanismError(
-                f"{path}: joint {name!r} cannot be placed: it hangs on {carrier!r} there, on "
-                f"{previous!r} in the mechanism"
+                f"{path}: joint {name!r} cannot be placed: it hangs on {carrier!r} in the URDF, "
+                f"but on {previous!r} in the mechanism"
             )
         if joint.kind != "fixed" and name == joint.name:
             turned = np.abs(np.subtract(drawn.axis, joint.axis)).max() > ROUNDING
             if drawn.kind != joint.kind or turned:
                 raise MechanismError(
-                    f"{path}: joint {name!r} cannot be placed: its axis there is another one than "
-                    "in the mechanism, whose frames were turned on import"
+                    f"{path}: joint {name!r} cannot be placed: its axis in the URDF differs from "
+                    "that in the mechanism, whose frames were turned on import"
                 )
         origins[name] = joint.placement.origin()
         on[index] = name
@@ -241,9 +241,9 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
 
 
 def _shift(urdf: Edges, leg: Leg) -> Array:
-    """Return where the platform's frame is seen from the URDF's link at a leg's end, (4, 4).
+    """Return the pose of the platform's frame in the URDF's link at a leg's end, shape (4, 4).
 
-    What no joint of the URDF holds: a tip's place, or what a platform point was found off by.
+    It is what no joint of the URDF holds: a tip's placement, or a platform point's correction.
     """
     last, shift = leg.joints[-1], np.eye(4)
     if leg.closes == "frame":
@@ -251,18 +251,18 @@ def _shift(urdf: Edges, leg: Leg) -> Array:
     if leg.point.name in urdf:
         return shift
     tip, names = _named(urdf, last.name), leg.point.placement.parameter_units
-    if names and tip is not None and urdf[tip].moves:  # else the platform is in another file
+    if names and tip is not None and urdf[tip].moves:  # otherwise the platform is in another file
         nominal = leg.with_parameters(dict.fromkeys(names, 0.0)).point.placement.xyz
         shift[:3, 3] = np.subtract(nominal, leg.point.placement.xyz)
     return shift
 
 
 def _rewritten(path: Path, origins: Mapping[str, Placement]) -> bytes:
-    """Return a file's bytes with other origins of joints."""
+    """Return a file's bytes with new origins of joints, by name."""
     text = path.read_bytes()
     if text[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in text[:100]:
         raise MechanismError(f"{path}: UTF-16 or UTF-32; save it as UTF-8")
-    tags: dict[str, tuple[int, int]] = {}  # the start tags of the origins, or where they are to be
+    tags: dict[str, tuple[int, int]] = {}  # span of each origin's start tag, or place for a new one
     stack: list[str] = []
     parser = expat.ParserCreate()
 
@@ -286,7 +286,7 @@ def _rewritten(path: Path, origins: Mapping[str, Placement]) -> bytes:
 
 
 def _with_origin(tag: bytes, placement: Placement) -> bytes:
-    """Return the start tag of an <origin> with another place, its other bytes kept."""
+    """Return the start tag of an <origin> with a new placement; its other bytes are kept."""
     turn: tuple[str, Iterable[float]] = ("rpy", placement.rpy)
     if re.search(rb"\squat_xyzw\s*=", tag):
         turn = ("quat_xyzw", Rotation.from_matrix(placement.origin()[:3, :3]).as_quat())

@@ -1,6 +1,6 @@
-"""A workspace is sampled in a box that tightens around the poses that count.
+"""Sampling of workspaces, in a box that tightens around the poses that count.
 
-A pose counts if it meets the criteria, and can be driven to from home so.
+A pose counts if it meets the criteria and is connected with home by poses that meet them.
 """
 
 from __future__ import annotations
@@ -36,27 +36,27 @@ from pincal.types import Array, Mask, Point
 from pincal.workspace.criteria import Margins, as_margins, criteria_of, in_workspace
 from pincal.workspace.grid import MOST, reach_box
 
-_RARE = 0.05  # of drawn readings: of fewer that count, the next are drawn nearer to home
-_HALVINGS = 24  # of the range of readings: nearer than that, none counts
-_BATCH, _PART = 16_384, 2048  # poses that are drawn, and looked at, together
+_RARE = 0.05  # part of drawn readings that count below which the next are drawn nearer to home
+_HALVINGS = 24  # largest number of halvings of the range of readings
+_BATCH, _PART = 16_384, 2048  # poses that are drawn, and tested, together
 _PILOT = 1_500  # accepted poses from which the box is tightened and connected
-_WIDEN = 0.1  # of the box around the accepted poses, on each side
+_WIDEN = 0.1  # widening of the box around the accepted poses, on each side, over its size
 _MOST = 400  # batches without enough poses before giving up
-_FAR, _HITS = 64, 8  # batches without so many hits after which poses are drawn nearer to home
-_ROUNDS = 6  # the nearest neighbours first: poses that hang together already are not joined again
+_FAR, _HITS = 64, 8  # after so many batches with at most so many hits, draw nearer to home
+_ROUNDS = 6  # rounds of joining neighbours, nearest first; joined poses are not joined again
 
 
 def home_component(
     platform: Platform, samples: Array, counts: Callable[[Array], Mask]
 ) -> Callable[[Array], Mask]:
-    """Return what tells which poses, (N, dof), are connected to home, whose pose counts.
+    """Return a function that masks the poses, (N, dof), that are connected with home.
 
-    Samples that count, (M, dof), are joined where the way counts too; others belong to the nearest.
+    Samples, (M, dof), are joined if the pose halfway counts; other poses belong to the nearest.
     """
     home = np.array([platform.home])
 
     def twists(poses: Array) -> Array:
-        """Return poses as twists from home, in which near poses are near, shape (N, dof)."""
+        """Return poses as twists from home, shape (N, dof), so that distances have a meaning."""
         return platform.twists_between(np.repeat(home, len(poses), axis=0), poses)
 
     samples = np.concatenate((home, samples))
@@ -87,20 +87,20 @@ def sample_configurations(
     least: Margins | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Plan:
-    """Return configurations: poses, and readings where these do not follow from poses.
+    """Return configurations: poses, and readings if poses do not determine them.
 
-    Readings are spread evenly between the limits of the active joints, poses are those of forward
-    kinematics; other mechanisms have the poses of ``sample_workspace``.
+    In that case readings are spread evenly between the limits of the active joints, and forward
+    kinematics gives the poses; other mechanisms have the poses of ``sample_workspace``.
 
     Args:
         mechanism: The mechanism.
         count: Number of configurations.
         seed: Seed or generator.
-        least: Margins from singularities; of serial arms, none.
-        progress: Called with the number of configurations found so far.
+        least: Margins from singularities; not used for serial arms.
+        progress: Function that is called with the number of configurations found so far.
 
     Raises:
-        WorkspaceError: no or too few configurations count.
+        WorkspaceError: no configurations count, or too few.
     """
     mechanism = as_mechanism(mechanism)
     if not mechanism.by_readings:
@@ -121,7 +121,7 @@ def sample_configurations(
         rows = np.flatnonzero([not reason for reason in reasons])
         if criteria:
             rows = rows[criteria.at_readings(reached[rows], driven[rows])]
-        if len(rows) < _RARE * len(drawn):  # joints without limits turn round: nearer
+        if len(rows) < _RARE * len(drawn):  # joints without limits have wide ranges: draw nearer
             low, high = 0.5 * (low + home), 0.5 * (high + home)
             halved += 1
         poses.append(reached[rows])
@@ -133,12 +133,12 @@ def sample_configurations(
             return Plan(np.concatenate(poses)[:count], readings=np.concatenate(readings)[:count])
     if criteria and not in_workspace(mechanism, start[:1], as_margins(least))[0]:
         raise WorkspaceError(_why_not_home(mechanism, as_margins(least)))
-    reason = "legs do not close within their joints' limits, or too near to singularities"
+    reason = "legs do not close within their joints' limits, or are too near to singularities"
     if all(reasons):
         reason = Counter(reasons).most_common(1)[0][0]
     raise WorkspaceError(
         f"only {total} of {count} configurations of {mechanism.name!r} found between the limits of "
-        f"the active joints and near home, where {reason}. Look at home and limits: 'pincal check'"
+        f"the active joints and near home: {reason}. Check home and limits by 'pincal check'"
     )
 
 
@@ -146,20 +146,20 @@ def sample_configurations(
 def sample_contacts(
     mechanism: GivenMechanism, setup: Setup, count: int, seed: int | np.random.Generator = 0
 ) -> tuple[Plan, Setup]:
-    """Return configurations whose targets meet the features of contacts, and where these are.
+    """Return configurations whose targets meet contacts' features, and the setup with their places.
 
-    Each of ``count`` configurations is led to the feature next to its target, turned as it is;
-    those that count there are returned. One at no known place is planned amid the targets'
-    positions, far from the others; if its radius is unknown, a quarter of their extent large.
+    Each of ``count`` configurations is moved, in its orientation, to the feature nearest to its
+    target; those that still count are returned. A feature of unknown position is planned amid the
+    targets' positions, far from the others; an unknown radius is a quarter of their extent.
 
     Args:
         mechanism: The mechanism.
-        setup: Its contacts and targets; places are in the base frame.
-        count: Number of configurations that are led to a point.
+        setup: Setup with contacts and targets; positions are in the base frame.
+        count: Number of configurations that are moved to a feature.
         seed: Seed or generator.
 
     Raises:
-        WorkspaceError: a setup without contacts, or a point that is out of reach.
+        WorkspaceError: the setup has no contacts, or a feature is out of reach.
 
     Example:
         >>> import pincal
@@ -172,7 +172,7 @@ def sample_contacts(
     mechanism, setup = as_mechanism(mechanism), read_setup(setup)
     platform, planned = mechanism.platform, sample_configurations(mechanism, count, seed)
     if not setup.contacts:
-        raise WorkspaceError("the setup has no contacts, whose points targets could touch")
+        raise WorkspaceError("the setup has no contacts; name the features that targets touch")
     matrices, contacts, names, gaps = platform.matrices(planned.poses), {}, [], []
     for column, contact in setup.contacts.items():
         tips = matrices[:, :3, 3] + matrices[:, :3, :3] @ setup.targets[contact.target].offset
@@ -198,14 +198,14 @@ def sample_contacts(
         counts = np.all((moved.readings >= low) & (moved.readings <= high), axis=1)
     for column, name in (names[k] for k in {*range(len(names))} - {*nearest[counts]}):
         raise WorkspaceError(
-            f"{mechanism.name!r} brings no target to {column} {name!r}; set it within reach"
+            f"{mechanism.name!r} brings no target to {column} {name!r}; place it within reach"
         )
     plan = Plan(moved.poses, readings=moved.readings, contacts=touched)
     return plan.rows(np.flatnonzero(counts)), replace(setup, contacts=contacts)
 
 
 def _amid(points: Mapping[str, Point | None], tips: Array) -> dict[str, Point]:
-    """Return where points are, those at no known place amid positions (N, 3), far from others."""
+    """Return positions of points; unknown ones are amid ``tips``, (N, 3), far from the others."""
     far = np.linalg.norm(tips - np.median(tips, axis=0), axis=1)
     amid = tips[np.argsort(far)[len(far) // 4 : -(-3 * len(far) // 4)]]
     places = {name: place for name, place in points.items() if place is not None}
@@ -227,10 +227,10 @@ def sample_workspace(
 ) -> Array:
     """Return poses spread evenly over a mechanism's workspace, coordinates of shape (count, dof).
 
-    The same seed gives the same poses. Of ``least`` and ``progress`` see ``sample_configurations``.
+    The same seed gives the same poses. For the arguments see ``sample_configurations``.
 
     Raises:
-        WorkspaceError: no or too few poses count.
+        WorkspaceError: no poses count, or too few.
     """
     mechanism = as_mechanism(mechanism)
     if mechanism.by_readings:
@@ -261,7 +261,7 @@ def sample_workspace(
 
 
 def _batch(mechanism: Mechanism) -> int:
-    """Return how many poses are drawn together: fewer where legs are closed by a search."""
+    """Return the number of poses drawn together: fewer if legs are closed by a search."""
     return _BATCH if all(map(closed_form, nominal_legs(mechanism))) else _PART
 
 
@@ -269,7 +269,7 @@ def _batch(mechanism: Mechanism) -> int:
 def _explored(
     mechanism: Mechanism, seed: int, least: Margins | None
 ) -> tuple[tuple[Array, Array, Callable[[Array], Mask]], Any]:
-    """Return what is explored from a seed, and the state of its generator then."""
+    """Return the result of ``_explore`` for a seed, cached, and the generator's state after it."""
     rng = np.random.default_rng(seed)
     return _explore(mechanism, rng, least), rng.bit_generator.state
 
@@ -277,7 +277,7 @@ def _explored(
 def _explore(
     mechanism: Mechanism, rng: np.random.Generator, least: Margins | None
 ) -> tuple[Array, Array, Callable[[Array], Mask]]:
-    """Return lower and upper corners of a box around the workspace, and its part around home."""
+    """Return the corners of a box around the workspace, and the test of connection with home."""
     platform, home = mechanism.platform, np.array([mechanism.platform.home])
     (lowest, highest), n = np.array(platform.bounds).T, platform.lengths
     lowest[:n], highest[:n] = (ends[:n] for ends in reach_box(mechanism))
@@ -288,7 +288,7 @@ def _explore(
         raise WorkspaceError(_why_not_home(mechanism, least or Margins()))
 
     def around(poses: Array, widen: float) -> tuple[Array, Array]:
-        """Return the box around poses, widened by a part of its size, within reach."""
+        """Return the box around poses, widened relative to its size, within reach."""
         low, high = poses.min(axis=0), poses.max(axis=0)
         wider = widen * (high - low)
         return np.maximum(low - wider, lowest), np.minimum(high + wider, highest)
@@ -297,17 +297,17 @@ def _explore(
     for turn in range(_MOST):
         if turn < _FAR or len(accepted) > _HITS:
             poses = rng.uniform(low, high, (batch, len(low)))
-        else:  # strokes that are small against the machine
+        else:  # the workspace may be small against the machine
             near = 0.5 ** (turn - _FAR) * size
             twists = rng.uniform(-near, near, (batch, platform.dof))
             poses = platform.moved(np.repeat(home, batch, axis=0), twists)
         accepted = np.concatenate((accepted, poses[counts(poses)]))
         if len(accepted) >= _PILOT:
             break
-        if len(accepted) > _HITS:  # few: look closer to where they are
+        if len(accepted) > _HITS:  # too few yet: draw in the box around them
             low, high = around(accepted, 0.5)
     connected = home_component(platform, accepted, counts)
-    for _ in range(2):  # tighten to the part around home, and widen where the box cut
+    for _ in range(2):  # tighten to the part around home, and widen where the box cut it
         low, high = around(accepted[connected(accepted)], _WIDEN)
         poses = rng.uniform(low, high, (2 * batch, len(low)))
         accepted = np.concatenate((accepted, poses[counts(poses)]))
