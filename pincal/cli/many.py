@@ -160,8 +160,7 @@ def batch(
     if not (files := [path for path in files if path.resolve() != output.resolve()]):
         raise FileError(f"{folder} has no tables; expected a .csv or .xlsx for each machine")
     items = [(path.name, sha256(path.read_bytes()).hexdigest()[:12]) for path in files]
-    over = running.workspace
-    poses = None if over is None else read_poses(over, mechanism)
+    poses = None if (over := running.workspace) is None else read_poses(over, mechanism)
     make_row = partial(_row, mech, folder, options, known, running, poses)
     with _growing(output) as progress:
         file = RowFile(output, row_columns(mechanism))

@@ -193,21 +193,20 @@ def append_lines(path: Path, columns: Sequence[str], rows: Sequence[Sequence[obj
     Raises:
         OSError: the table cannot be written.
     """
-    before = path.exists()
-    size = path.stat().st_size if before else 0
+    size = path.stat().st_size if path.exists() else -1
     try:
         with path.open("a", newline="", encoding="utf-8") as file:
-            lines = [columns, *rows] if columns and not size else rows
+            lines = [columns, *rows] if columns and size <= 0 else rows
             csv.writer(file, lineterminator="\n").writerows(lines)
             file.flush()
             os.fsync(file.fileno())
-        if not size:
+        if size <= 0:
             _synchronise_folder(path)
     except OSError:
-        if before:
-            os.truncate(path, size)
-        else:
+        if size < 0:
             path.unlink(missing_ok=True)
+        else:
+            os.truncate(path, size)
         raise
 
 

@@ -69,18 +69,12 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
 
 
 def left_open(tree: Tree, mechanism: Mechanism) -> tuple[str, ...]:
-    """Return sentences on couplings and loops of a serial arm's joints that are left out."""
+    """Return a sentence on loops of a file that hold joints of a serial arm, if there are any."""
     joints = {joint.name for joint in mechanism.legs[0].moving}
-    along = [edge.joint for edge in tree.edges if edge.joint.name in joints]
-    free = [
-        f"{joint.name!r} follows {joint.leader.joint!r}, which is outside the arm: it is read"
-        for joint in along
-        if joint.leader.joint not in joints
-    ]
     ways = {loop.joint.name: route(tree.edges, loop.parent, loop.child) for loop in tree.loops}
     held = [name for name, way in ways.items() if joints & {edge.joint.name for edge, _ in way}]
     text = f"{listed(held)}: loops of the arm's joints are left open; all of these are read"
-    return (*free, *(text,) * bool(held))
+    return (text,) * bool(held)
 
 
 def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:
