@@ -65,10 +65,11 @@ def _spaces(study: Study, poses: Array) -> tuple[dict[float, pincal.Workspace], 
         kept = pincal.Orientations.of(mechanism.platform, f"phi={turn}")
         planes[turn] = pincal.compute_workspace(mechanism, "constant-orientation", grid, kept)
     study.heading("Workspace and articular-variables space (Figs. 5, 7)")
+    found = str(group).replace("\n  no", ". No")
     study.say(
         f"""{len(poses):,} poses, spread evenly over the workspace that is connected to home, with
         margins of 0.23 (type 1) and 0.2 (type 2) from singularities. The three reflections of Eq.
-        18 map the geometry but not the working mode. Group {group}."""
+        18 map the geometry but not the working mode. Group {found}."""
     )
     study.table(
         "fig_5_workspaces",
