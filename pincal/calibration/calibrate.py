@@ -94,8 +94,8 @@ def explain(
 ) -> Explanation:
     """Return which terms the residuals of a calibration follow, and which of them to add.
 
-    Arguments and errors are as in ``calibrate``; ``terms`` are the kinds of terms to try, by
-    default all. Other numeric columns (temperature, time, …) are tried as influences.
+    The mechanism, measurements, options, single_options and errors are as in ``calibrate``; the
+    option ``terms`` has the kinds to try, by default all and numeric columns (temperature, time).
     """
     asked = Options.of(options, **single_options)
     return explained(prepared(mechanism, measurements, asked, terms=asked.terms or (AUTO,)))

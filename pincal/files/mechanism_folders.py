@@ -31,7 +31,7 @@ def bundled() -> dict[str, Path]:
 
 
 def load_mechanism(name_or_path: str | Path) -> Mechanism:
-    """Return the mechanism of a bundled name, such as ``"3RRR"``, its folder or a result's folder.
+    """Return a mechanism by ``name_or_path``: a bundled name, ``"3RRR"``, its or a result's folder.
 
     Raises:
         FileError: there is no such folder, or a file in it is missing.

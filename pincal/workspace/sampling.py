@@ -227,7 +227,7 @@ def sample_workspace(
 ) -> Array:
     """Return poses spread evenly over a mechanism's workspace, coordinates of shape (count, dof).
 
-    The same seed gives the same poses. For the arguments see ``sample_configurations``.
+    A seed gives the same poses again; ``least`` and ``progress``: see ``sample_configurations``.
 
     Raises:
         WorkspaceError: no poses count, or too few.
