@@ -19,7 +19,7 @@ LINES = {
     "cli": 2_798,
     "design": 2_334,
     "estimation": 4_756,
-    "files": 3_384,
+    "files": 3_385,
     "formats": 3_506,
     "instruments": 1_579,
     "kinematics": 3_391,

@@ -7,6 +7,7 @@ refused with a reason that is listed; none is imported wrong.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -421,6 +422,17 @@ def test_joints_that_follow_one_off_the_way_follow_the_first(tmp_path: Path) -> 
         pin.framesForwardKinematics(model, data, np.array([q[name] for name in model.names[1:]]))
         expected = data.oMf[model.getFrameId("c")].homogeneous
         np.testing.assert_allclose(T, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("effort", "moves"), [("0", True), ("1", False)])
+def test_a_limit_of_zeros_throughout_says_nothing(effort: str, moves: bool, tmp_path: Path) -> None:
+    """CAD exporters write such ones where nobody set any; equal limits of a motor fix a joint."""
+    zeros = f'<limit lower="0" upper="0" effort="{effort}" velocity="0"/>'
+    text = re.sub("<mimic[^>]*>", "", FINGERS)
+    (tmp_path / "f.urdf").write_text(re.sub(r'<limit lower="-1" upper="0"[^>]*>', zeros, text))
+    arm = pincal.Mechanism.from_urdf(tmp_path / "f.urdf", "c")
+    assert [joint.name for joint in arm.legs[0].moving] == ["j1", "j2"][1 - moves :]
+    assert np.isinf(arm.legs[0].moving[0].upper) == moves
 
 
 def test_an_arm_that_floats_stands_on_the_base_that_is_named(tmp_path: Path) -> None:

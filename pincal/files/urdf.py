@@ -276,8 +276,9 @@ def _turn(element: etree._Element, place: str) -> Triple:
 def _limits(element: etree._Element, name: str, place: str) -> tuple[float, float]:
     """Return the limits of a joint; infinite if the file has none, or huge ones."""
     limit = element.find("limit")
-    if limit is None or (limit.get("lower") is None and limit.get("upper") is None):
-        return -np.inf, np.inf
+    said = {} if limit is None else {str(k): plain_number(str(v)) for k, v in limit.items()}
+    if limit is None or {"lower", "upper"}.isdisjoint(said) or not any(said.values()):
+        return -np.inf, np.inf  # zeros alone are what exporters of CAD programs leave blank
     ends = [limit.get(key, "0") for key in ("lower", "upper")]
     lower, upper = map(plain_number, ends)
     if max(abs(lower), abs(upper)) > LARGEST:
