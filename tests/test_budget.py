@@ -24,7 +24,7 @@ LINES = {
     "instruments": 1_579,
     "kinematics": 3_391,
     "model": 3_610,
-    "show": 4_225,
+    "show": 4_224,
     "symmetry": 1_373,
     "words": 950,
     "workspace": 1_495,

@@ -68,11 +68,11 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     result, candidates = explanation.result, explanation.candidates
     nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
     lines, remaining = list(map(_slip_line, explanation.slips)), visible
+    lines += [_MEND] * bool(explanation.slips)
     while remaining and len(lines) < NAMED + len(explanation.slips):
         first, *further = remaining
         lines.append(_seen_line(first, nominal))
         remaining = [rival for rival in further if rival.pair not in first.or_else]
-    lines += [_MEND] * bool(explanation.slips)
     if not visible:
         least = min((candidate.corrected for candidate in candidates), default=1.0)
         lines.append(
@@ -92,7 +92,7 @@ def _verdict_lines(explanation: Explanation, visible: Sequence[Candidate]) -> li
     sizes = {"held_out": explanation.model.held_out, "before": explanation.models[1].held_out}
     lines = [_VERDICTS[explanation.verdict].format(**sizes)]
     follows = visible or "model-lacks" in {remark.code for remark in result.contradictions}
-    if follows and explanation.verdict == "geometry" and not result.promises:
+    if follows and explanation.verdict == "geometry" and not (result.promises or explanation.slips):
         ends = f"--terms {term_text(*visible[0].pair)} models it" if visible else _BY_CHANCE
         lines.append(f"but no limit is stated while residuals follow a pattern; {ends}")
     return lines

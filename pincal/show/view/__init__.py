@@ -1,1 +1,1 @@
-"""A mechanism that moves, as a page in the browser."""
+"""A page in the browser that shows a moving mechanism."""

@@ -1,8 +1,8 @@
-"""A mechanism as parts that move: shapes of its links, and where each is at every pose.
+"""A mechanism as moving parts: shapes of its links, and their placements at every pose.
 
-Parts are what the exported URDFs draw, and what rigid links cannot show: cylinder and piston of a
-prismatic joint, or a thin cable where that is called ``line`` or ``cable``, as long as the joint
-has moved, and plates. Where a leg does not reach, its links are NaN.
+Parts are the links of the exported URDFs, and shapes that rigid links cannot show: cylinder and
+piston of a prismatic joint (a thin cable for joints called ``line`` or ``cable``), as long as the
+joint's motion, and plates. Placements of a leg's links are NaN where it does not reach the pose.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from pincal.show.style import ACTIVE, DIMENSION
 from pincal.types import Array
 
 GREY, PALE = "#595959", "#9aa0a6"
-_COLOURS = {"orange": ACTIVE, "blue": PALE, "grey": GREY}  # of materials in URDFs
+_COLOURS = {"orange": ACTIVE, "blue": PALE, "grey": GREY}  # by materials in URDFs
 _CABLES = ("line", "cable")
-_FLAT = 1e-6  # of what is a plane's size
+_FLAT = 1e-6  # thickness over size of points that count as a plane or a line
 
 
 class Shape(NamedTuple):
@@ -36,11 +36,11 @@ class Shape(NamedTuple):
 
     kind: str
     size: tuple[float, ...]
-    """Edges of a box; radius and length of a cylinder; radius of a sphere; else none; [m]."""
+    """Edges of a box, radius and length of a cylinder, or radius of a sphere, [m]; else empty."""
     T_link_shape: Array
-    """Shape (4, 4)."""
+    """Pose of the shape in its link's frame, shape (4, 4)."""
     colour: str
-    """``"#rrggbb"``."""
+    """Colour as ``"#rrggbb"``."""
     points: Array | None = None
     """Corners of a mesh, shape (n, 3), [m]."""
     faces: NDArray[np.int64] | None = None
@@ -61,7 +61,7 @@ def rod(begin: Array, end: Array, radius: float, colour: str) -> Shape:
 
 
 def plate(points: Array, thickness: float) -> tuple[Shape, ...]:
-    """Return a plate through points (n, 3), or a body if they are in no plane; none of a line."""
+    """Return a plate through points, (n, 3), or a body if they span space; none for a line."""
     sizes, axes = _principal(points)
     if sizes[1] <= _FLAT * sizes[0]:
         return ()
@@ -72,7 +72,7 @@ def plate(points: Array, thickness: float) -> tuple[Shape, ...]:
 
 
 def frame(feet: Array, radius: float) -> tuple[Shape, ...]:
-    """Return rods around feet (n, 3) in a plane, from each to the next; else none."""
+    """Return rods from each foot to the next, if all feet, (n, 3), lie in a plane; else none."""
     feet = np.unique(feet.round(9), axis=0)
     sizes, axes = _principal(feet)
     if len(feet) < 2 or sizes[2] > _FLAT * sizes[0]:
@@ -83,13 +83,13 @@ def frame(feet: Array, radius: float) -> tuple[Shape, ...]:
 
 
 def _principal(points: Array) -> tuple[Array, Array]:
-    """Return sizes along the principal axes, shape (3,), and these, shape (3, 3), as rows."""
+    """Return sizes along the principal axes, shape (3,), and the axes as rows, shape (3, 3)."""
     _, sizes, axes = np.linalg.svd(points - points.mean(axis=0))
     return np.concatenate((sizes, np.zeros(3)))[:3], axes
 
 
 def _urdf_shapes(text: str) -> list[tuple[Shape, ...]]:
-    """Return the visuals of a URDF that pincal wrote, link by link; what drives stands out."""
+    """Return the visuals of a URDF that pincal wrote, by link; drives have their own colour."""
     robot: Any = etree.fromstring(text.encode())
     links = []
     for link in robot.iter("link"):
@@ -117,22 +117,22 @@ class Body:
     """A mechanism at N poses."""
 
     parts: dict[str, tuple[Shape, ...]]
-    """Shapes of what moves as one, by its place in the scene: ``leg 1/base``, ``leg 1/link 2``,
+    """Shapes of each moving part, by its place in the scene: ``leg 1/base``, ``leg 1/link 2``,
     ``leg 1/rod 3``, ``leg 1/cylinder 3``, ``platform/body``, ``platform/point 1``, ``base/frame``,
     ``base/axes``; legs, joints and points counted from 1."""
     placements: Array
-    """``T_base_part``, shape (N, n_parts, 4, 4), [m]; NaN where it is not to be drawn."""
+    """``T_base_part``, shape (N, n_parts, 4, 4), [m]; NaN where a part is not drawn."""
     chains: tuple[tuple[int, ...], ...]
-    """For each leg, its links' numbers among the parts, base first, without base link and rods."""
+    """For each leg, the indices of its moving links among the parts, from the base on."""
     legs: tuple[Leg, ...]
-    """Of the mechanism."""
+    """Legs of the mechanism."""
     readings: Array
     """Sensor readings, shape (N, n_readings), [rad] or [m]; NaN where not reached."""
     problems: tuple[str, ...]
-    """Why something is not drawn at a pose; empty strings where all is."""
+    """Reason, by pose, why a part is not drawn; empty if all parts are."""
 
     def part(self, path: str) -> int:
-        """Return the number of a part by its path."""
+        """Return the index of a part by its path."""
         return list(self.parts).index(path)
 
     @property
@@ -157,7 +157,7 @@ class Body:
 
     @property
     def shapes(self) -> list[tuple[Shape, Array]]:
-        """The shapes that are drawn at the first pose, each with ``T_base_part``."""
+        """Shapes that are drawn at the first pose, each with its ``T_base_part``."""
         return [
             (shape, place)
             for shapes, place in zip(self.parts.values(), self.placements[0], strict=True)
@@ -167,10 +167,10 @@ class Body:
 
 
 def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
-    """Return a mechanism at poses, (N, dof), each leg in its working mode, or as readings say.
+    """Return a mechanism at poses, (N, dof), with legs in their working modes or at readings.
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite.
+        MechanismError: poses have a wrong shape, or are not finite.
     """
     solution = joints_at(mechanism, planned)
     T_base_platform = mechanism.platform.matrices(as_plan(mechanism, planned).poses)
@@ -214,7 +214,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
 
 
 def _leg_shapes(leg: Leg) -> list[tuple[Shape, ...]]:
-    """Return the shapes of a leg's links, base first; a slider is driven by cylinder or winch."""
+    """Return the shapes of a leg's links, base first; cylinders or winches drive sliders."""
     links = _urdf_shapes(leg_urdf(leg))
     for place, joint in enumerate(leg.joints, 1):
         if joint.kind == "prismatic" and (joint.home or joint.name in _CABLES):
@@ -228,11 +228,11 @@ def _leg_shapes(leg: Leg) -> list[tuple[Shape, ...]]:
 def _pistons(
     leg: Leg, joints: Array, links: Array, radius: float
 ) -> Iterator[tuple[str, Shape, Array]]:
-    """Yield path, shape and placements of the rods of prismatic joints, and of their cylinders.
+    """Yield path, shape and placements of the rods and cylinders of prismatic joints.
 
-    Together they reach back from the slider to where it is at zero; a cylinder is half as long as
-    both at home, a cable has none. What a pulley has wrapped of it is taken off. Joints have shape
-    (N, n_joints), links (N, n, 4, 4).
+    Rod and cylinder reach back from the slider to its zero; at home the cylinder is half of their
+    length. Cables have no cylinder, and lose the length that a pulley has wrapped. Joints have
+    shape (N, n_joints), links (N, n, 4, 4).
     """
     read = {sensor.joint for sensor in leg.sensors}
     positions = {joint.name: q for joint, q in zip(leg.moving, joints.T, strict=True)}

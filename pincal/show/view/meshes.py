@@ -18,19 +18,19 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.view.bodies import Body, Shape
 
 METAL = "#aab1ba"
-#: Triangles of a link, at most about; cells along it into which corners are gathered.
+#: Most triangles of a link, roughly; numbers of cells along it in which vertices are merged.
 MOST_FACES, _CELLS = 3000, (60, 45, 32, 22, 15)
 
 
 def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
-    """Return a body whose links look as a URDF's visuals do, where it has them as meshes.
+    """Return a body whose links have the meshes of a URDF's visuals, if there are any.
 
-    Joints have the URDF's names; ``package://`` is looked for in the folders above the file.
+    Links are found by the names of joints; ``package://`` is sought in folders above the file.
 
     Raises:
-        FileError: the URDF or a mesh is missing or cannot be read, or moves no link of the
-            mechanism.
-        MechanismError: not a well-formed URDF.
+        FileError: the URDF or a mesh is missing or cannot be read, or no mesh is on a moving link
+            of the mechanism.
+        MechanismError: the URDF is not well formed.
     """
     path = Path(urdf)
     read_xml(path, "robot")  # yourdfpy repairs what is broken
@@ -59,7 +59,7 @@ def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
 
 
 def _mesh(path: Path, visual: Any) -> Shape:
-    """Return a visual as triangles, in its link's frame."""
+    """Return the mesh of a visual, in its link's frame."""
     source = visual.geometry.mesh
     file = filename_handler_magic(source.filename, str(path.resolve()))  # packages above it, too
     if not Path(file).is_file():
@@ -68,10 +68,10 @@ def _mesh(path: Path, visual: Any) -> Shape:
         )
     try:
         mesh: Any = trimesh.load(file, force="mesh", process=False)
-    except Exception as error:  # whatever readers of meshes raise
+    except Exception as error:  # readers of meshes raise errors of any type
         raise FileError(f"{file}: a mesh that cannot be read: {error}") from error
     check_mesh(file, np.asarray(getattr(mesh, "vertices", ())), len(getattr(mesh, "faces", ())))
-    mesh.process()  # corners that several triangles share become one
+    mesh.process()  # merges vertices that triangles share
     mesh.apply_scale(np.ones(3) if source.scale is None else np.broadcast_to(source.scale, 3))
     coarsen(mesh)
     T = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
@@ -79,7 +79,7 @@ def _mesh(path: Path, visual: Any) -> Shape:
 
 
 def coarsen(mesh: Any) -> None:
-    """Merge corners of a trimesh that are in one cell of a grid, until its triangles are few."""
+    """Merge vertices in each cell of coarser and coarser grids until few triangles are left."""
     for cells in _CELLS:
         if len(mesh.faces) <= MOST_FACES:
             break

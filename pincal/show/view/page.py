@@ -1,8 +1,8 @@
-"""A scene as one HTML page that needs nothing else: meshcat's viewer, the scene, a panel.
+"""A scene as a self-contained HTML page: meshcat's viewer, the scene, and a panel.
 
-``view.js`` builds what is drawn with the viewer's three.js. All text that comes from people's
-files goes through JSON and becomes text nodes. The page's security policy bars requests to any
-host but the one that served it.
+``view.js`` builds the drawing with the viewer's three.js. All text from users' files goes through
+JSON and becomes text nodes. The page's security policy forbids requests to any host but the one
+that served it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pincal.types import Array
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.wording import clean, rendered
 
-#: How far sliders go: of the scene's size, and [rad].
+#: Range of sliders to each side, over the scene's size, and [rad].
 _SLIDER_RANGE = {"m": 0.25, "rad": 0.5}
 _SEEN_THROUGH = 0.45  # opacity of the identified machine and of ghosts
 
@@ -34,17 +34,17 @@ _SEEN_THROUGH = 0.45  # opacity of the identified machine and of ghosts
 def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> str:
     """Return the page of a scene.
 
-    Below ``meshcat`` in the viewer's tree: ``mechanism`` and ``identified`` with their parts
-    (``Body.parts``); ``sets/1`` and ``ghosts/1`` for the first set and so on; those of layers.
+    The viewer's tree has below ``meshcat``: ``mechanism`` and ``identified`` with their parts
+    (``Body.parts``); ``sets/1`` and ``ghosts/1`` for the first set and so on; and the layers.
 
-    Notices are what to know first; a page that is served can ask for the scene off its poses
+    Notices are shown first. A page that is ``served`` can ask for the scene at other poses
     (``answer``).
     """
     names = list(dict.fromkeys(scene.sets))
     points = [scene.points(), *(layer.points.reshape(-1, 3) for layer in scene.layers)]
     every, ground = np.concatenate(points), scene.ground()
     away = np.linalg.norm(every - np.clip(every, *scene.bounds()), axis=1)
-    near = every[away <= scene.size] @ scene.axes.T  # what stands further off is not looked at
+    near = every[away <= scene.size] @ scene.axes.T  # the view is not fitted to farther points
     low, high = near.min(axis=0), near.max(axis=0)
     still = [_still(layer) for layer in (ground, *scene.layers)]
     for number, (name, colour, positions, lines) in enumerate(scene.by_set(), 1):
@@ -100,7 +100,7 @@ def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> 
 
 
 def answer(scene: Scene, row: int, shift: Array) -> str:
-    """Return what a page draws and writes off its poses, as JSON: see ``moved``."""
+    """Return the drawing and the values at a moved pose, as JSON for a page: see ``moved``."""
     try:
         moved_scene = moved(scene, row, shift)
     except MechanismError as error:
@@ -129,12 +129,12 @@ def _packed(values: Array) -> str:
 
 
 def _columns(body: Body) -> str:
-    """Return where parts are as columns of 3, N x n_parts x 4 x 3 doubles."""
+    """Return the placements of parts by columns of 3, packed N x n_parts x 4 x 3 doubles."""
     return _packed(body.placements[:, :, :3].swapaxes(2, 3))
 
 
 def _shapes(body: Body, colour: str) -> list[list[dict[str, Any]]]:
-    """Return the shapes of a body's parts, in their own colours or, but its base's, in one."""
+    """Return the shapes of a body's parts; a given colour leaves out the parts of the base."""
     return [
         [
             {
@@ -163,9 +163,9 @@ def _still(layer: Layer, opacity: float = 1.0) -> dict[str, Any]:
 
 
 def _sliders(scene: Scene) -> list[dict[str, Any]]:
-    """Return what moves the mechanism off its poses: coordinates, or readings of an arm.
+    """Return the sliders that move the mechanism: coordinates, or readings of an arm.
 
-    ``axis`` is the base's that a coordinate shifts along, -1 of all else.
+    ``axis`` is the base's axis along which a coordinate shifts, -1 for all other sliders.
     """
     mechanism, platform = scene.mechanism, scene.mechanism.platform
     names, units = mechanism.reading_names, mechanism.reading_units
@@ -186,7 +186,7 @@ def _sliders(scene: Scene) -> list[dict[str, Any]]:
 
 
 def _rows(scene: Scene) -> list[dict[str, Any]]:
-    """Return the table under the slider: what each row is, and its value at each pose."""
+    """Return the rows of the table under the slider, with their values at each pose."""
     mechanism, platform = scene.mechanism, scene.mechanism.platform
     read = mechanism.reading_names, mechanism.reading_units
     groups = [("pose", platform.coordinates, platform.units, POSES, scene.plan.poses)]
@@ -223,7 +223,7 @@ def _or_null(values: Array) -> list[float | None]:
 
 
 def _panel(scene: Scene) -> list[dict[str, Any]]:
-    """Return what can be shown or hidden; of other scales than 1, what has one at a time."""
+    """Return the entries that can be shown or hidden; only one scale but 1 is shown at a time."""
     lines: list[tuple[str, str, str, float]] = [("mechanism", "mechanism", "", 1.0)]
     if scene.identified:
         name = f"identified, errors × {scene.magnify:,g}"

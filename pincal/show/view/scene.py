@@ -1,6 +1,6 @@
-"""What a view or a picture shows: a mechanism at poses, an identified one beside it, layers.
+"""Scenes of views and pictures: a mechanism at poses, the identified one beside it, and layers.
 
-All of it is plain: parts that move (``bodies``), and layers of dots and lines that stand still.
+A scene consists of moving parts (``bodies``) and of layers of static dots and lines.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ from pincal.show.view.bodies import Body, body
 from pincal.types import Array, Index, Mask
 
 MOST_POSES = 2000
-VERIFICATION = "verification"  # what the set "verify" is called
-_TOWARDS_VIEWER = np.array([0.45, -0.85, 0.42])  # of a mechanism in space: slightly from above
-_SEEN = 0.03  # of the scene's size: errors of a machine that are seen
-_LONG, _LONGEST = 0.08, 0.5  # of the scene's size: a long arrow; where it is cut
+VERIFICATION = "verification"  # displayed name of the set "verify"
+_TOWARDS_VIEWER = np.array([0.45, -0.85, 0.42])  # for mechanisms in space: slightly from above
+_SEEN = 0.03  # size of visible errors, over the scene's size
+_LONG, _LONGEST = 0.08, 0.5  # lengths of a long arrow and of a cut arrow, over the scene's size
 _TOUCHED = 7  # pixels of a point that targets touch
-_HEAD = 0.2  # of an arrow's length
-_STEPS, _STEP, _TURNS, _NEAR = 50, 0.5, 1e-3, 1e-4  # of dragging: most, longest; weight; met
+_HEAD = 0.2  # length of an arrow's head, over the arrow's
+_STEPS, _STEP, _TURNS, _NEAR = 50, 0.5, 1e-3, 1e-4  # dragging: steps, longest, weight, tolerance
 
 
 class Layer(NamedTuple):
-    """Dots or lines that stand still."""
+    """Static dots or lines."""
 
     path: str
-    """Place in the scene."""
+    """Place in the scene's tree."""
     name: str
     points: Array
-    """Dots, shape (n, 3), or segments, shape (n, 2, 3), base frame, [m]."""
+    """Dots, shape (n, 3), or segments, shape (n, 2, 3), in the base frame, [m]."""
     colour: str
     pixels: int = 2
-    """Of a dot."""
+    """Diameter of a dot in pixels."""
     scale: float = 1.0
     """Factor on the lengths of segments."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """All that a view shows."""
+    """The contents of a view."""
 
     mechanism: Mechanism
     plan: Plan
@@ -62,19 +62,19 @@ class Scene:
     identified: Mechanism | None = None
     """The calibrated mechanism."""
     magnify: float = 1.0
-    """Factor on what differs between its parameters and the nominal ones."""
+    """Factor on the differences between its parameters and the nominal ones."""
     magnified: Body | None = None
-    """The machine of these parameters where the nominal model's readings drive it."""
+    """The machine with magnified differences, as driven by the nominal model's readings."""
     layers: tuple[Layer, ...] = ()
-    """Beside the ground and the poses: what a calibration found."""
+    """Results of a calibration, beside the ground and the poses."""
     misses: Array | None = None
-    """How far rows of a result were measured from where they are predicted, [m], or NaN."""
+    """Distance from measured to predicted point for each row of a result, [m], or NaN."""
 
     @property
     def sets(self) -> tuple[str, ...]:
-        """Set of each pose: a leg's name, ``"all"`` for every leg, ``"verification"`` for none.
+        """Set of each pose: a leg's name, ``"all"`` for every leg, or ``"verification"``.
 
-        Empty where there are no sets.
+        The names are empty if the plan has no sets.
         """
         if self.plan.sets is None:
             return ("",) * len(self.plan.poses)
@@ -83,7 +83,7 @@ class Scene:
 
     @property
     def axes(self) -> Array:
-        """What points right, up and towards the viewer, shape (3, 3), rows in the base frame."""
+        """Directions to the right, up and to the viewer, rows in the base frame, shape (3, 3)."""
         if self.mechanism.platform.space == 2:
             return np.eye(3)
         towards = _TOWARDS_VIEWER / np.linalg.norm(_TOWARDS_VIEWER)
@@ -101,25 +101,25 @@ class Scene:
             yield name, self.colour(name), positions[in_set], lines[drawn]
 
     def colour(self, name: str) -> str:
-        """Return the colour of a set, that of its leg; dark for the poses of every leg."""
+        """Return the colour of a set: its leg's, or dark for the poses of every leg."""
         names = self.mechanism.leg_names
         return leg_colour(names.index(name)) if name in names else EVERY
 
     def points(self) -> Array:
-        """Return where parts, feet and positions are, shape (n, 3), [m]; NaN if not drawn."""
+        """Return the positions of feet and parts, shape (n, 3), [m]; NaN if not drawn."""
         bodies = filter(None, (self.body, self.magnified))
         parts = [shown.placements[:, :, :3, 3].reshape(-1, 3) for shown in bodies]
         feet = [leg.joints[0].placement.xyz for leg in self.mechanism.legs]
         return np.concatenate((feet, *parts))
 
     def bounds(self) -> Array:
-        """Return least and largest coordinates of what ``points`` returns, shape (2, 3), [m]."""
+        """Return the least and largest coordinates of ``points()``, shape (2, 3), [m]."""
         points = self.points()
         return np.stack((np.nanmin(points, axis=0), np.nanmax(points, axis=0)))
 
     @property
     def size(self) -> float:
-        """Diagonal of the bounds, [m]; the mechanism's size where all axes meet in one point."""
+        """Diagonal of the bounds, [m]; the mechanism's size if all axes meet in a point."""
         return float(np.linalg.norm(np.ptp(self.bounds(), axis=0))) or self.mechanism.size
 
     @property
@@ -129,7 +129,7 @@ class Scene:
         return float(low) if self.mechanism.platform.space == 3 and low + high < 0.0 else 0.0
 
     def ground(self) -> Layer:
-        """Return lines on the ground under all that is drawn, at steps of 1, 2 or 5 decades."""
+        """Return a grid of lines on the ground, at steps of 1, 2 or 5 times a power of ten."""
         low, high = self.bounds()[:, :2]
         step = rounded_down((float((high - low).max()) or self.size) / 6)
         begin, end = np.floor(low / step) * step, np.ceil(high / step) * step
@@ -155,7 +155,7 @@ def scene(
     identified: GivenMechanism | None = None,
     magnify: float | None = None,
 ) -> Scene:
-    """Return the scene of a mechanism at poses; all as of ``view``."""
+    """Return the scene of a mechanism at poses; arguments are those of ``view``."""
     plan = poses if isinstance(poses, Plan) else Plan(mechanism.platform.coordinates_of(poses))
     if not 0 < len(plan.poses) <= MOST_POSES:
         raise MeasurementError(
@@ -164,7 +164,7 @@ def scene(
     if not np.isfinite(plan.poses).all():
         raise MeasurementError(
             f"{int((~np.isfinite(plan.poses).all(axis=1)).sum())} of {len(plan.poses)} poses are "
-            "not whole; those that a calibration estimated can be drawn: "
+            "not whole; draw the poses that a calibration estimated: "
             "result.estimated_poses, or poses.csv in the folder of the result"
         )
     drawn = body(mechanism, plan)
@@ -185,10 +185,10 @@ def scene(
 def _driven(
     mechanism: Mechanism, plan: Plan, readings: Array, identified: Mechanism, magnify: float
 ) -> Body:
-    """Return where another machine goes when the nominal model commands poses by readings.
+    """Return the identified machine, with magnified differences, driven by the nominal readings.
 
-    Differences of parameters are magnified, so that what is drawn is a mechanism whose loops close;
-    to first order its platform's error is magnified alike.
+    Differences of parameters are magnified, so that the drawn mechanism has closed loops; to first
+    order the error of its platform is magnified by the same factor.
     """
     names = [[(leg.name, leg.parameter_names) for leg in m.legs] for m in (mechanism, identified)]
     if names[0] != names[1] or mechanism.platform.kind != identified.platform.kind:
@@ -216,14 +216,14 @@ def _driven(
 
 
 def moved(shown: Scene, row: int, shift: Array) -> Scene:
-    """Return the scene at a single pose, moved off the pose of a row, counted from 0.
+    """Return the scene at a single pose, which is the pose of a row (from 0) moved by a shift.
 
-    By a twist of the platform in its freedoms, base axes at its origin; where readings do not
-    follow from poses, by changes of the readings, then, if there are three more numbers, by a shift
-    of the platform, turned as it was; [m] and [rad].
+    The shift is a twist of the platform in its freedoms, in base axes at its origin. If poses do
+    not determine readings, it has changes of the readings and, optionally, three numbers to shift
+    the platform without turning it; [m] and [rad].
 
     Raises:
-        MechanismError: not finite, or of a wrong shape; readings that no pose has.
+        MechanismError: the shift is not finite or has a wrong shape, or no pose has the readings.
     """
     mechanism, platform = shown.mechanism, shown.mechanism.platform
     pose, readings = shown.plan.poses[[row]], shown.body.readings[[row]]
@@ -251,12 +251,12 @@ def moved(shown: Scene, row: int, shift: Array) -> Scene:
 
 
 def _carried(mechanism: Mechanism, plan: Plan, shift: Array) -> Plan:
-    """Return a configuration with the platform shifted, turned as it was as far as it can be.
+    """Return a configuration with the platform shifted, and turned as little as possible.
 
-    By Gauss–Newton steps of the readings; turns weigh little, so that an arm of few joints follows.
+    Gauss–Newton steps change the readings; turns weigh little, so that arms of few joints follow.
 
     Raises:
-        MechanismError: out of reach.
+        MechanismError: the shifted position is out of reach.
     """
     platform, legs = mechanism.platform, legs_at(mechanism, plan)
     goal = platform.matrices(plan.poses).copy()
@@ -277,14 +277,14 @@ def _carried(mechanism: Mechanism, plan: Plan, shift: Array) -> Plan:
     return Plan(legs.poses, readings=legs.readings)
 
 
-# What a calibration found
+# Results of a calibration
 
 
 def calibrated(shown: Scene, result: CalibrationResult) -> Scene:
-    """Return a scene with what a calibration of its mechanism found.
+    """Return a scene with the results of a calibration of its mechanism.
 
-    Arrows of rows that fit, and of outliers, magnified alike. Of a calibration that did not
-    converge, the places of instruments alone.
+    These are the places of instruments and, if the fit converged, arrows of rows that fit and of
+    outliers, each magnified to be seen.
     """
     measured, shifts, outlying = misses_of(result)
     known = np.isfinite(np.hstack((measured, shifts))).all(axis=1) & result.converged
@@ -302,7 +302,7 @@ def calibrated(shown: Scene, result: CalibrationResult) -> Scene:
 
 
 def _arrow_layers(begin: Array, shifts: Array, outlying: Mask, size: float) -> list[Layer]:
-    """Return arrows, cut at a length, as three segments each, shafts first."""
+    """Return layers of arrows of limited length, each of three segments, shafts first."""
     if not len(begin):
         return []
     lengths = np.linalg.norm(shifts, axis=1)
@@ -328,10 +328,10 @@ def _arrow_layers(begin: Array, shifts: Array, outlying: Mask, size: float) -> l
 
 
 def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
-    """Return points as measured, predicted less measured, and which of them are outliers.
+    """Return measured points, predicted minus measured points, and a mask of outliers, by row.
 
-    Base frame, shape (n_rows, 3), [m]; NaN where unknown: by the residuals of x, y and z, or of
-    poses that were measured in full by forward kinematics. Of rows that touch, the point touched.
+    Base frame, (n_rows, 3), [m]; NaN where unknown. Differences are the residuals of x, y and z, or
+    else forward kinematics minus fully measured poses. Rows that touch a point have that point.
     """
     platform, outside = result.nominal.platform, result.outside
     observed = {block.name: block for block in result.observed}
@@ -378,13 +378,13 @@ def touched_points(result: CalibrationResult) -> list[tuple[str, Array, Index, A
 
 
 def stations(result: CalibrationResult) -> list[tuple[str, Array]]:
-    """Return names and ``T_base_station``, (4, 4), of what stands around: tracker, instruments.
+    """Return names and ``T_base_station``, (4, 4), of the tracker and instruments.
 
-    Or of the frame of the measurements where it was unknown; of instruments that have a method
-    ``stand(values)`` that returns T_frame_instrument.
+    Without a tracker an unknown frame of the measurements takes its place. Instruments have a place
+    if their method ``stand(values)`` returns T_frame_instrument.
 
     Raises:
-        MeasurementError: an instrument that stands at no rigid transform.
+        MeasurementError: the place of an instrument is no rigid transform.
     """
     setup, outside = result.options.setup, result.outside
     T_base_frame = np.eye(4) if outside is None else np.asarray(np.linalg.inv(outside.frame))

@@ -1,4 +1,4 @@
-"""``pincal.view``: a mechanism in the browser, in a file, or in a notebook, by the same page.
+"""``pincal.view``: the same page of a mechanism in the browser, in a file, or in a notebook.
 
 ``PageServer`` serves it to this machine alone.
 """
@@ -32,14 +32,14 @@ from pincal.show.view.page import answer, page
 from pincal.show.view.scene import Scene, calibrated, scene
 from pincal.workspace.sampling import sample_configurations
 
-_LONGEST = 100_000  # bytes that are posted
-PATIENCE = 10.0  # seconds in which a client must say what it asks for, and take the answer
+_LONGEST = 100_000  # most bytes of a posted text
+PATIENCE = 10.0  # seconds in which a client must send its request, and take the answer
 
 
 class View(Page):
     """A view of a mechanism: a page to open, to save, or to see in a notebook.
 
-    At its ``url`` the mechanism can be moved off the poses; saved it shows these alone.
+    At its ``url`` the mechanism can be moved to other poses; a saved page shows its poses only.
     """
 
     sandbox, height = "allow-scripts allow-downloads", "600px"
@@ -48,11 +48,11 @@ class View(Page):
         self.scene, self._notices = scene, tuple(notices)
 
     def with_meshes(self, urdf: str | Path) -> View:
-        """Return the view with an arm's links as the meshes of the URDF that it was read from.
+        """Return the view with meshes on an arm's links, from the URDF that it was read from.
 
         Raises:
-            FileError: a URDF or mesh that cannot be read, or of other joints.
-            MechanismError: not a well-formed URDF.
+            FileError: the URDF or a mesh cannot be read, or the URDF has other joints.
+            MechanismError: the URDF is not well formed.
         """
         scene, mechanism = self.scene, self.scene.mechanism
         body = with_meshes(scene.body, mechanism, urdf)
@@ -60,9 +60,9 @@ class View(Page):
         return View(replace(scene, body=body, magnified=magnified), self._notices)
 
     def with_result(self, result: CalibrationResult) -> View:
-        """Return the view with what a calibration of this mechanism found.
+        """Return the view with the results of a calibration of this mechanism.
 
-        Arrows from measured to predicted points, where instruments stand, its warnings.
+        It has arrows from measured to predicted points, the places of instruments, and warnings.
         """
         return View(calibrated(self.scene, result), warnings(result))
 
@@ -72,7 +72,7 @@ class View(Page):
 
     @cached_property
     def url(self) -> str:
-        """Where browsers of this machine find the page, until ``close`` or the process ends."""
+        """Address of the page for browsers on this machine, until ``close`` or the process ends."""
         server = PageServer(responding(self.scene, page(self.scene, self._notices, served=True)))
         self._close = finalize(self, server.close)
         return server.url
@@ -96,15 +96,14 @@ def view(
         mechanism: The mechanism, at its nominal parameters.
         poses: A plan or measurements, coordinates of shape (N, dof), [m] and [rad], or
             transforms; home and some of the workspace if not given. At most 2000.
-        identified: The calibrated mechanism, shown where it goes when the nominal one's
-            readings drive it.
-        magnify: Factor on what differs between its parameters and the nominal ones; one at which
-            errors are seen and every pose assembles if not given.
+        identified: The calibrated mechanism, shown as the readings of the nominal one drive it.
+        magnify: Factor on the differences between identified and nominal parameters; if not given,
+            one that makes errors visible and lets the mechanism assemble at every pose.
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
-            is not one of this mechanism.
-        MeasurementError: no poses, too many or not whole; a factor that is not positive.
+        MechanismError: poses have a wrong shape or are not finite; ``identified`` is another
+            mechanism.
+        MeasurementError: there are no poses, too many or incomplete ones; or ``magnify`` <= 0.
 
     Example:
         >>> import pincal
@@ -118,7 +117,7 @@ def view(
 
 
 def _some_poses(mechanism: Mechanism) -> Plan:
-    """Return home and, where there is a workspace, some of its configurations."""
+    """Return home and, if there is a workspace, some of its configurations."""
     home = home_of(mechanism)
     try:
         sampled = sample_configurations(mechanism, 24)
@@ -130,12 +129,12 @@ def _some_poses(mechanism: Mechanism) -> Plan:
 
 
 Respond = Callable[[str, Mapping[str, str], str], tuple[str, str | bytes] | None]
-"""Returns kind and content at a path with a query, by what was posted, empty if nothing was; None
-if no such page is there. Raises ValueError, KeyError or TypeError if that cannot be answered."""
+"""Function of path, query and posted text (empty if none) that returns content type and content,
+None for an unknown path. It raises ValueError, KeyError or TypeError for a faulty request."""
 
 
 def responding(scene: Scene, text: str) -> Respond:
-    """Return what serves the page of a scene, and the scene off its poses."""
+    """Return the handler that serves the page of a scene, and the scene at moved poses."""
 
     def respond(path: str, query: Mapping[str, str], posted: str) -> tuple[str, str] | None:
         if path == "/" and not posted:
@@ -149,23 +148,23 @@ def responding(scene: Scene, text: str) -> Respond:
 
 
 class PageServer:
-    """Serves pages on a free port of 127.0.0.1 until it is closed.
+    """Server of pages on a free port of 127.0.0.1 until it is closed.
 
-    One thread serves all clients, however many of them say nothing. Requests under another host's
-    name, or from another's page, are refused, so that a page elsewhere whose name is made to
-    resolve to this machine can neither read nor write.
+    One thread serves all clients, however many of them stay silent. Requests under another host's
+    name, or from another host's page, are refused, so that a foreign page whose name resolves to
+    this machine (DNS rebinding) can neither read nor write.
     """
 
     def __init__(self, respond: Respond) -> None:
-        """Begin to serve."""
+        """Start serving."""
         self._respond = respond
         self._listening = Event()
         self._thread = Thread(target=lambda: asyncio.run(self._run()), daemon=True)
-        self._thread.start()  # in a notebook this thread's own loop runs already
+        self._thread.start()  # in a notebook the main thread already runs a loop
         self._listening.wait()
 
     async def _run(self) -> None:
-        """Listen until the server is closed; what still waits for clients ends with the loop."""
+        """Listen until the server is closed; pending requests end with the loop."""
         self._loop, self._closed = asyncio.get_running_loop(), asyncio.Event()
         self._loop.set_exception_handler(lambda *_: None)  # clients that hang up
         try:
@@ -179,7 +178,7 @@ class PageServer:
         server.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Answer the one request of a client, or hang up if it does not come."""
+        """Answer a client's request, or hang up if none comes."""
         try:
             request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
             first, *lines = request.decode("latin-1").splitlines()
@@ -199,14 +198,14 @@ class PageServer:
             writer.write("\r\n".join((*head, "\r\n")).encode() + content)
             await asyncio.wait_for(writer.drain(), PATIENCE)
         except (OSError, ValueError, TimeoutError, EOFError, asyncio.LimitOverrunError):
-            pass  # the client went away, or asked for nothing
+            pass  # the client went away, or sent no request
         finally:
             writer.close()
 
     def _response(
         self, first: str, headers: Mapping[str, str], posted: str
     ) -> tuple[HTTPStatus, str, bytes]:
-        """Return status, kind and content of the answer to a request."""
+        """Return status, content type and content of the answer to a request."""
         method, target, *_ = [*first.split(" "), "", ""]
         address, host = urlsplit(target), headers.get("host")
         if method not in ("GET", "POST"):
