@@ -302,10 +302,8 @@ class _Corners:
         first, second = (erf(distance / np.sqrt(2.0)) for distance in far)
         bells = [np.exp(-(distance**2) / 2) / np.sqrt(2 * np.pi) for distance in far]
         corner = bells[0] * bells[1] * rho * (1 + rho * far[0] * far[1] / 2)
-        if saddle:
-            factor, weight = 1.0, 4.0
-        else:
-            first, second, factor, weight = 1 + first, 1 + second, 0.25, 1.0
+        factor, weight, level = (1.0, 4.0, 0.0) if saddle else (0.25, 1.0, 1.0)
+        first, second = level + first, level + second
         shape = factor * first * second + weight * corner
         by_first, by_second = (
             b * (2 * factor * bell * edge - distance * weight * corner)

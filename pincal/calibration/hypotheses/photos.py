@@ -81,40 +81,50 @@ def boards_behind(
 
 
 def moved_cameras(fits: Fits) -> list[Finding]:
-    """Return which camera stands elsewhere from some row on, if one does: the clearest.
+    """Return the clearest step of a camera's pose between two rows as a finding, if there is one.
 
-    What the machine lacks is noise of its readings then, estimated: it is no camera's.
+    An error of the machine moves everything that cameras see. The step is therefore tested with the
+    misfit of the machine as noise of its readings. Residuals that stay correlated from row to row
+    are no step, nor is a displacement of points below their noise. The size is the root mean square
+    displacement of points across the line of sight, [m].
     """
-    return _step(with_misfit_as_noise(fits)) if _step(fits) else []
+    if not any(chance < FALSE_ALARM for chance, *_ in _camera_steps(fits)):
+        return []
+    fits = with_misfit_as_noise(fits)
+    chance, _, alike, name, row, moved = min(_camera_steps(fits), key=lambda case: case[:2])
+    fit, state = fits.fits[0], fits.fits[0].last.state
+    observation = fit.problem.observation.at(np.arange(row, len(fit.rows)))
+    metres = observation.metres_per_pixel(state.matrices[row:], state.external)
+    pixels, sigma = moved[:, -metres.shape[1] :], observation.sigma
+    seen = pixels != 0.0
+    if chance >= FALSE_ALARM or alike or not np.mean((pixels[seen] / sigma[seen]) ** 2) > 1.0:
+        return []
+    quantity, rows = f"what camera {name} sees", (int(fit.rows[row]),)
+    size = float(np.sqrt(2.0 * np.mean((pixels * metres)[seen] ** 2)))
+    return [finding("step", rows, quantity=quantity, size=size, unit="m", p_value=chance)]
 
 
-def _step(fits: Fits) -> list[Finding]:
-    """Return the clearest step of a camera, by how far what it sees is off then, as a finding.
+def _camera_steps(fits: Fits) -> Iterator[tuple[float, float, bool, str, int, Array]]:
+    """Yield the clearest step of the pose of each camera at an unknown place.
 
-    Root mean square over points; a step by less than the noise of a point is none.
+    Yields:
+        The p-value over all rows and cameras, minus the χ² that the step explains, whether the
+        residuals after it are correlated from row to row, the camera's name, the first row after
+        the step, and the change of all conditions from that row on, shape (n, k).
     """
-    fit, cases = fits.fits[0], list[tuple[float, float, str, int, Array]]()
+    fit, linear = fits.fits[0], fits.fits[0].last
     cameras = [camera for camera in _cameras(fits.calibration) if not camera.known]
     if not cameras:
-        return []
-    linear, ids, residuals = fit.last, fit.unknowns.labels, Residuals.of(fit)
+        return
+    residuals, ids = Residuals.of(fit), fit.unknowns.labels
     for camera in cameras:
         columns = [ids.index(number.id) for number in camera.parameters[:6]]
         J = linear.jacobian[fit.good][:, :, columns]
-        even = np.linalg.pinv(np.linalg.qr(J.reshape(-1, 6), mode="r"))  # all six as large
-        row, _, step = residuals.step(J @ even)
-        moved = linear.by_parameter[row:][:, :, columns] @ (even @ step.values)
-        cases.append((step.p_value * len(cameras), -step.inside, camera.name, row, moved))
-    p_value, _, name, row, moved = min(cases, key=lambda case: case[:2])
-    observation = fit.problem.observation.at(np.arange(row, len(fit.rows)))
-    metres = observation.metres_per_pixel(linear.state.matrices[row:], linear.state.external)
-    pixels = moved[:, -metres.shape[1] :]
-    seen = pixels != 0.0
-    if p_value >= FALSE_ALARM or not np.mean((pixels[seen] / observation.sigma[seen]) ** 2) > 1.0:
-        return []
-    off = float(np.sqrt(2.0 * np.mean((pixels * metres)[seen] ** 2)))
-    quantity, rows = f"what camera {name} sees", (int(fit.rows[row]),)
-    return [finding("step", rows, quantity=quantity, size=off, unit="m", p_value=p_value)]
+        scaled = np.linalg.pinv(np.linalg.qr(J.reshape(-1, 6), mode="r"))  # all six alike
+        row, after, step = residuals.step(J @ scaled)
+        alike = residuals.alike_after(after, J @ scaled) != 0.0
+        moved = linear.by_parameter[row:][:, :, columns] @ (scaled @ step.values)
+        yield step.p_value * len(cameras), -step.inside, alike, camera.name, row, moved
 
 
 def _explaining(
