@@ -1,12 +1,12 @@
-"""Boards that cameras see: what is printed, and where its points are.
+"""Printed boards that cameras see, and the positions of their points.
 
-A board is a grid of cells. Of a ChArUco board and a chessboard every second cell is black, and the
-corners between cells are its points; markers stand in the white cells of the one, and in all cells
-of a grid of markers, whose points are the corners of the markers. Of loose markers only what is on
-one marker is known: they are cut apart.
+A board is a grid of cells. In a ChArUco board and a chessboard, every second cell is black, and the
+points are the corners between cells; a ChArUco board has markers in its white cells. A grid of
+markers has one in each cell, and the points are the corners of the markers. Loose markers are cut
+apart, so that only the positions within each marker are known.
 
-The board's frame lies in the lower left corner of the grid: x right, y up, z out of the paper.
-Markers, and corners of ChArUco boards, are numbered as OpenCV numbers them: by rows, from above.
+The board's frame is at the lower left corner of the grid: x right, y up, z out of the paper.
+Markers, and corners of ChArUco boards, are numbered as in OpenCV: by rows, from above.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ else:
 BoardKind: TypeAlias = Literal["charuco", "chessboard", "aruco", "apriltag", "markers"]
 CHEQUERED = ("charuco", "chessboard")
 DICTIONARIES = {"apriltag": "APRILTAG_36h11", "chessboard": ""}
-"""Of markers by kind of board, if not ``4X4_250``."""
+"""Default dictionary of markers by kind of board; ``4X4_250`` for other kinds."""
 SHARE = 0.7
-"""Side of a marker by the pitch, if not given: the white around it is what makes it found."""
+"""Default side of a marker, over the pitch: detection needs the white border around it."""
 UNCHECKED = 2e-3
-"""Relative standard uncertainty of lengths that a printer made and nobody measured."""
+"""Relative standard uncertainty of printed lengths that were not measured."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """A printed pattern whose points cameras see.
+    """Printed pattern whose points cameras see.
 
     >>> from pincal.instruments.board import Board
     >>> board = Board("board", "charuco", (8, 11), 0.025)
@@ -51,26 +51,26 @@ class Board:
     """
 
     name: str
-    """By which its points are called: ``name_0``, and of markers ``name_12a`` to ``name_12d``,
+    """Prefix of its points' names: ``name_0``, and of markers ``name_12a`` to ``name_12d``,
     clockwise from the upper left corner."""
     kind: BoardKind
     squares: tuple[int, int]
-    """Cells along x and along y."""
+    """Number of cells along x and along y."""
     square: float
     """Pitch of the cells, [m]."""
     marker: float = 0.0
-    """Side of a marker, [m]; 0.7 of the pitch if not given."""
+    """Side of a marker, [m]; by default 0.7 of the pitch."""
     dictionary: str = ""
-    """Of the markers, by OpenCV's name without ``DICT_``."""
+    """Dictionary of the markers: OpenCV's name without ``DICT_``."""
     first: int = 0
-    """Number of the first marker: boards that one photo shows share no marker."""
+    """Number of the first marker; boards in the same photo must not share markers."""
     scale: tuple[float, float] = (1.0, 1.0)
-    """Length of the print over what it should be, along x and along y."""
+    """Printed length over nominal length, along x and along y."""
     scale_sigma: float = UNCHECKED
-    """Relative standard uncertainty of both."""
+    """Relative standard uncertainty of both scales."""
 
     def __post_init__(self) -> None:
-        least = 3 if self.kind in CHEQUERED else 1  # fewer have too few corners
+        least = 3 if self.kind in CHEQUERED else 1  # fewer squares have too few corners
         for number in self.squares:
             count_of(number, "number of squares", MeasurementError, least)
         count_of(self.first, "number of the first marker", MeasurementError, 0)
@@ -92,7 +92,7 @@ class Board:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height of all cells as they should be, [m]."""
+        """Nominal width and height of all cells together, [m]."""
         return self.squares[0] * self.square, self.squares[1] * self.square
 
     @property
@@ -121,7 +121,7 @@ class Board:
 
     @cached_property
     def points(self) -> dict[str, tuple[float, float, float]]:
-        """Places of the points in the board's frame, [m], as printed, by their names."""
+        """Printed positions of the points by name, in the board's frame, [m]."""
         columns, rows = self.squares
         if self.kind in CHEQUERED:
             steps = [(c, rows - r) for r in range(1, rows) for c in range(1, columns)]
@@ -143,7 +143,7 @@ class Board:
         """Black rectangles of the pattern: x, y, width and height, (n, 4), [m].
 
         Raises:
-            MeasurementError: OpenCV is missing, or has no such dictionary or marker.
+            MeasurementError: OpenCV is missing, or does not have the dictionary or a marker.
         """
         columns, rows = self.squares
         side = self.square
@@ -171,7 +171,7 @@ class Board:
         return np.array(rectangles)
 
     def yaml(self) -> str:
-        """Return the board's file, which ``read_board`` reads."""
+        """Return the text of the board's file, which ``read_board`` reads."""
         points = "".join(f"  {name}: {list(place)}\n" for name, place in self.points.items())
         return (
             f"pincal_board: 1\nboard:\n  name: {self.name}\n  kind: {self.kind}\n"
@@ -187,7 +187,7 @@ class Board:
 
 
 def marker_dictionary(name: str) -> Any:
-    """Return OpenCV's dictionary of markers by its name without ``DICT_``."""
+    """Return OpenCV's dictionary of markers of a name without ``DICT_``."""
     try:
         number = getattr(cv2.aruco, f"DICT_{name}", None)
     except ModuleNotFoundError as error:
@@ -206,7 +206,7 @@ def read_board(path: str | Path) -> Board:
 
     Raises:
         FileError: the file is missing or cannot be read.
-        MeasurementError: it does not parse, or its points are not those of its squares.
+        MeasurementError: the file does not parse, or its points disagree with its squares.
     """
     path = Path(path)
     readers: Readers = {
@@ -220,7 +220,7 @@ def read_board(path: str | Path) -> Board:
         places = replace(board, scale=(1.0, 1.0)).points
         for name, entry in values.get("points", {}).items():
             if not np.allclose(entry.vector(), places.get(name, np.inf), atol=1e-7):
-                entry.refuse("the squares place it elsewhere; for the size of a print use scale")
+                entry.refuse("the squares place it elsewhere; state the size of a print by 'scale'")
     return board
 
 

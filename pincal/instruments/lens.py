@@ -1,8 +1,8 @@
-"""Lenses: where a point in front of a camera is in its image, with derivatives.
+"""Lenses: projection of points in front of a camera into its image, with derivatives.
 
-A pinhole with the distortion of D. C. Brown (1971) and A. E. Conrady (1919), or an equidistant
-fisheye (J. Kannala and S. Brandt 2006); coefficients have OpenCV's names, order and signs. Axes of
-a camera point right, down and ahead; pixels are counted from the centre of the upper left one.
+A lens is a pinhole with the distortion of D. C. Brown (1971) and A. E. Conrady (1919), or an
+equidistant fisheye (J. Kannala and S. Brandt 2006); coefficients have OpenCV's names, order and
+signs. Camera axes point right, down and ahead; (0, 0) is the centre of the upper left pixel.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from pincal.types import Array, Mask
 
 PLANE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE = ("k1", "k2", "k3", "k4")
-_COUNTS = {False: (0, 4, 5, 8), True: (0, 4)}  # of coefficients that OpenCV knows, by fisheye
-_USUAL_FOCAL = 0.8  # focal length over the longer side of the image, if nobody says it
-_NEWTON = 30  # steps from a pixel to its ray
+_COUNTS = {False: (0, 4, 5, 8), True: (0, 4)}  # numbers of coefficients in OpenCV, by fisheye
+_USUAL_FOCAL = 0.8  # default focal length, over the longer side of the image
+_NEWTON = 30  # largest number of Newton steps from a pixel to its ray
 _NEAR = 1e-13
 
 
@@ -40,23 +40,23 @@ class Lens:
     size: tuple[int, int]
     """Width and height of the image, [px]."""
     focal: float | tuple[float, float] | None = None
-    """Focal length, or one along each side of a pixel, [px]; 0.8 of the longer side if not said."""
+    """Focal length, or one along x and one along y, [px]; by default 0.8 of the longer side."""
     centre: tuple[float, float] | None = None
-    """Where the axis meets the image, [px]; its middle if not said."""
+    """Principal point, where the axis meets the image, [px]; by default the image's centre."""
     distortion: tuple[float, ...] | None = None
     """Coefficients in OpenCV's order: k1, k2, p1, p2[, k3[, k4, k5, k6]], of a fisheye k1 to k4.
-    None: without distortion if the lens is known, else unknown (k1 to k3, p1, p2)."""
+    None means no distortion if the lens is known, otherwise unknown k1 to k3, p1, p2."""
     fisheye: bool = False
-    """Whether images are formed by angles (equidistant) and not on a plane."""
+    """Whether the projection is equidistant, by angles, instead of onto a plane."""
     unknown: bool | Mapping[str, float] = False
-    """Whether all is to be identified, or how well it is known: standard deviations by name (fx,
-    fy, cx, cy, k1, …), infinite for what is unknown; what is not named is known."""
+    """Whether all numbers are to be identified; or prior standard deviations by name (fx, fy, cx,
+    cy, k1, …), infinite for an unknown number; numbers that are not named are known."""
     name: str = "lens"
-    """The owner of its parameters. Cameras with one lens share it by this name."""
+    """Owner of the lens's parameters; cameras with lenses of the same name share them."""
     focus: tuple[float, float] | None = None
-    """Nearest and farthest distance at which points are sharp, [m]; any if not said."""
+    """Nearest and farthest distance at which points are sharp, [m]; by default any."""
     sigmas: dict[str, float] = field(init=False, repr=False, compare=False)
-    """Standard deviations of what is not known, infinite where it is unknown."""
+    """Prior standard deviations of the numbers to identify, infinite for unknown ones."""
 
     def __post_init__(self) -> None:
         def keep(name: str, value: object) -> None:
@@ -73,7 +73,7 @@ class Lens:
         f = array_of(pair, (2,), "focal length [px]", error)
         if not (f > 0.0).all():
             raise MeasurementError(
-                f"the focal length of lens {self.name!r} is {self.focal}; it is above 0"
+                f"the focal length of lens {self.name!r} is {self.focal}; expected more than 0"
             )
         middle = [(side - 1) / 2 for side in size] if self.centre is None else self.centre
         d = self._coefficients()
@@ -93,7 +93,7 @@ class Lens:
         keep("sigmas", dict(sigmas))
 
     def _coefficients(self) -> tuple[float, ...]:
-        """Return the coefficients of distortion, zeros where they are unknown."""
+        """Return the coefficients of distortion, zero if they are unknown."""
         counts = _COUNTS[must_be(self.fisheye, bool, "fisheye of a lens", MeasurementError)]
         if self.distortion is None:
             return (0.0,) * (4 if self.fisheye else 5) if self.unknown else ()
@@ -107,19 +107,19 @@ class Lens:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of all its numbers, known or not."""
+        """Names of all numbers of the lens, known or not."""
         coefficients = FISHEYE if self.fisheye else PLANE
         return ("fx", "fy", "cx", "cy", *coefficients[: len(self.distortion or ())])
 
     @property
     def values(self) -> Array:
-        """Nominal values of all its numbers, shape (n,)."""
+        """Nominal values of all numbers of the lens, shape (n,)."""
         parts = (self.focal, self.centre, self.distortion)
         return np.concatenate([np.array(part, dtype=np.float64) for part in parts])
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those of its numbers that are to be identified."""
+        """Numbers of the lens that are to be identified."""
         return tuple(
             Parameter(self.name, name, "px" if name[0] in "fc" else "1", value)
             for name, value in zip(self.names, self.values.tolist(), strict=True)
@@ -129,11 +129,11 @@ class Lens:
     def project(self, points: Array, values: Array | None = None) -> tuple[Array, Array, Array]:
         """Return pixels of points, (…, 2), and derivatives by points and by the lens's numbers.
 
-        NaN behind a pinhole. Shapes (…, 2, 3), [px/m], and (…, 2, n).
+        Points behind a pinhole are NaN. Derivatives: (…, 2, 3), [px/m], and (…, 2, n).
 
         Args:
-            points: In axes of the camera, shape (…, 3), [m].
-            values: Of all numbers of the lens, shape (n,); nominal ones if not given.
+            points: Points in the camera's axes, shape (…, 3), [m].
+            values: Values of all numbers of the lens, shape (n,); by default nominal.
         """
         values = self.values if values is None else values
         points = np.asarray(points, dtype=float)
@@ -149,7 +149,7 @@ class Lens:
         return f * plane + values[2:4], f[:, None] * by_point, by_values
 
     def _on_plane(self, points: Array, k: Array) -> tuple[Array, Array, Array]:
-        """Return what a pinhole makes of points at focal length 1: see ``project``."""
+        """Return the pinhole projection of points at focal length 1: see ``project``."""
         depth = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
         x, y = (points[..., :2] / depth[..., None]).T
         a1, a2, p1, p2, a3, b1, b2, b3 = np.append(k, np.zeros(8 - len(k))).tolist()
@@ -178,7 +178,7 @@ class Lens:
         return np.array((u, v)).T, _last(by_point), _last(by_lens)
 
     def _by_angle(self, points: Array, k: Array) -> tuple[Array, Array, Array]:
-        """Return what a fisheye makes of points at focal length 1: see ``project``."""
+        """Return the fisheye projection of points at focal length 1: see ``project``."""
         x, y, z = points.T
         rho = np.hypot(x, y)
         square, angle = rho * rho + z * z, np.arctan2(rho, z)
@@ -203,10 +203,10 @@ class Lens:
         )
 
     def rays(self, pixels: Array) -> Array:
-        """Return unit vectors that point from the camera to what is seen, (…, 2) to (…, 3).
+        """Return the unit vectors of rays from the camera through pixels, (…, 2) to (…, 3).
 
-        By Newton's method on the nominal lens; NaN where no direction has such a pixel. Images
-        follow directions across the ray alone: J ray = 0, so that a step is Jᵀ (J Jᵀ)⁻¹ missed.
+        Newton's method inverts the nominal lens; pixels that no ray has give NaN. The projection
+        does not change along the ray, J ray = 0, so that a step is Jᵀ (J Jᵀ)⁻¹ missed.
         """
         f, centre, k = np.split(self.values, [2, 4])
         distorted = (np.asarray(pixels, dtype=float) - centre) / f
@@ -227,17 +227,17 @@ class Lens:
         return ray
 
     def sees(self, points: Array, values: Array | None = None) -> Mask:
-        """Return which points are in the image and sharp, shape (…, 3) to (…)."""
+        """Return the mask of points that are in the image and sharp, (…, 3) to (…)."""
         pixels, by_point, _ = self.project(points, values)
         far = np.linalg.norm(points, axis=-1)
         near, farthest = self.focus or (0.0, np.inf)
         with np.errstate(invalid="ignore"):
             inside = ((pixels >= -0.5) & (pixels <= np.array(self.size) - 0.5)).all(axis=-1)
-            # where distortion folds the image over, its derivative changes its sign
+            # where distortion folds the image, the determinant of the derivative is negative
             upright = np.linalg.det(by_point[..., :2]) > 0.0
         return np.asarray(inside & (upright | self.fisheye) & (far >= near) & (far <= farthest))
 
 
 def _last(array: Array) -> Array:
-    """Return an array (2, k, …) of which the first axes come last: (…, 2, k)."""
+    """Return an array (2, k, …) with its first two axes last: (…, 2, k)."""
     return np.moveaxis(array.transpose(0, 1, *range(array.ndim - 1, 1, -1)), (0, 1), (-2, -1))

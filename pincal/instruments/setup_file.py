@@ -1,4 +1,4 @@
-"""Setups in YAML: how a platform is measured, by which instruments, and of what boards."""
+"""Reading of setups from YAML files: targets, contacts, distances, instruments and boards."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ T = TypeVar("T", Lens, Markers)
 
 
 def read_setup(source: Setup | str | Path) -> Setup:
-    """Return a setup that is given as such or by its YAML file: see ``Setup.from_yaml``."""
+    """Return a setup as it is, or that of a YAML file: see ``Setup.from_yaml``."""
     if isinstance(source, Setup):
         return source
     path = Path(must_be(source, (Setup, str, Path), "a setup or its file", MeasurementError))
@@ -58,7 +58,7 @@ def _contact(entry: Entry) -> Contact:
 
 
 def _board(entry: Entry, name: str, folder: Path) -> Markers:
-    """Return markers by their points, or by the file of a printed board."""
+    """Return the markers of a board that has points, or the file of a printed board."""
     if isinstance(entry.value, str):
         return Markers(name=name, **_printed(folder / entry.text()))
     place = dict.fromkeys(("at", "rotation", "normal"), Entry.vector)
@@ -73,11 +73,11 @@ def _board(entry: Entry, name: str, folder: Path) -> Markers:
 
 
 def _printed(path: Path) -> dict[str, Any]:
-    """Return fields of the markers of a printed board; where loose ones are is unknown."""
+    """Return the fields of a printed board's markers; positions of loose ones are unknown."""
     board = read_board(path)
     if board.kind == "markers":
         return {"points": dict.fromkeys(board.points)}
-    clear = board.clear if board.kind in CHEQUERED else 0.0  # of markers only OpenCV knows
+    clear = board.clear if board.kind in CHEQUERED else 0.0  # only OpenCV can tell for markers
     fields = {"points": board.points, "scale": board.scale_sigma, "clear": clear}
     return {**fields, "normal": (0.0, 0.0, 1.0)}
 
@@ -104,7 +104,7 @@ def _lens(entry: Entry, name: str) -> Lens:
 def _camera(
     entry: Entry, name: str, boards: Mapping[str, Markers], lenses: Mapping[str, Lens]
 ) -> Camera:
-    """Return a camera whose lens and board are said by name, or the only ones."""
+    """Return a camera with the named lens and board; by default the only ones of the setup."""
     readers: Readers = {
         "lens": lambda part: _named(part, lenses, "lens"),
         "board": lambda part: _named(part, boards, "board"),
@@ -123,7 +123,7 @@ def _camera(
 
 def _named(entry: Entry, known: Mapping[str, T], kind: str) -> T:
     if (name := entry.text()) not in known:
-        entry.refuse(f"expected the name of a {kind}: {', '.join(known) or 'none is said'}")
+        entry.refuse(f"expected the name of a {kind}: {', '.join(known) or 'there are none'}")
     return known[name]
 
 

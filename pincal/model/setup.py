@@ -54,7 +54,7 @@ class Systematic:
     scale: float = 0.0
     """Uncertainty of the scale of measured lengths, relative: 20e-6 for 20 µm/m."""
     temperature: float = 0.0
-    """Uncertainty of the difference from the temperature at which it is to be exact, [K]."""
+    """Uncertainty of the machine's temperature relative to that of its later use, [K]."""
     expansion: float = STEEL
     """Thermal expansion of the machine, [1/K]."""
     target: float = 0.0
