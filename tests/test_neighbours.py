@@ -36,7 +36,7 @@ from pincal.formats.arm import serial_arm
 from pincal.formats.closed import closed_mechanism
 from pincal.formats.mjcf import mjcf, read_mjcf, unwritten
 from pincal.formats.users_urdf import calibrated_urdf, read_loops
-from pincal.kinematics.assembly import independent
+from pincal.kinematics.assembly import assembled, independent
 from pincal.kinematics.batches import cross
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import LegClosure
@@ -501,6 +501,21 @@ def test_parameters_are_all_that_closures_tell(tmp_path: Path) -> None:
     rows = np.einsum("ni,nip->np", across, part.parameter)
     assert rows.shape[1] == 3 * 6 + 6 + 3
     assert np.linalg.matrix_rank(rows, tol=1e-9 * np.linalg.norm(rows)) == 8
+
+
+def test_loops_drawn_open_close_where_joints_still_move_them() -> None:
+    """A strut is not taken at length zero, though that is nearest to how it is drawn."""
+    along, ends = (1.0, 0.0, 0.0), {"lower": -1.0, "upper": 1.0}
+    slide = pincal.Joint("x", "prismatic", axis=along, home=0.1, **ends)
+    turn = pincal.Joint("turn", "revolute")
+    length = pincal.Joint("length", "prismatic", axis=along, home=-0.1, **ends)
+    driven = pincal.Leg("driven", (slide,), (pincal.Sensor("x"),), (), pincal.Joint("a", "fixed"))
+    strut = pincal.Leg("strut", (turn, length), (), (), pincal.Joint("b", "fixed"))
+    closed, placed = assembled((driven, strut), pincal.Platform.at_origin("point"))
+    x, (angle, reach) = closed[0].home[0], closed[1].home
+    np.testing.assert_allclose(placed.home, (x, 0.0), atol=1e-9)
+    np.testing.assert_allclose(reach * np.array([np.cos(angle), np.sin(angle)]), (x, 0), atol=1e-9)
+    assert abs(reach) > 0.01
 
 
 @pytest.mark.parametrize(("name", "count"), [("5R", 4), ("3RRR", 6), ("6UPS", 6), ("delta", 7)])

@@ -28,6 +28,7 @@ _STARTS, _WIDEST = 32, 1.5  # further ones, and how far about what is drawn, [ra
 _CLOSED = 1e-10  # gap, of the size, of what is closed
 _SINGULAR = 1e-10  # of singular values, over the size: none
 _CONFIGURATIONS, _ABOUT = 120, 0.3  # how many, and how far about home, [rad] or of the size
+_GRIP = 0.1  # of what passive joints usually move ends by: with less, closings are singular
 _IDLE = 1e-4  # of singular values, over the size: joints that do not move ends so far, do not
 _DEPENDS = 1e-7  # of a column, what others leave of it
 
@@ -38,9 +39,9 @@ def assembled(
     """Return the legs with home positions that close them, and the platform at its home pose.
 
     The legs' home positions are where to start, and others about them within the limits where that
-    does not lead to what closes there: the nearest counts, within the limits if any is. The
-    platform's home does not count. Cut digits may have moved frames by the slack, of a leg's size
-    and [rad].
+    does not lead to what closes there: the nearest counts, within the limits if any is, and where
+    loops are drawn open, none that is singular if another is not. The platform's home does not
+    count. Cut digits may have moved frames by the slack, of a leg's size and [rad].
 
     Raises:
         MechanismError: no such configuration was found.
@@ -52,16 +53,19 @@ def assembled(
     enough = max(slack, _CLOSED) * size
     poses, joints, gaps = _closed(closures, _fitted(closures, home[None]), home[None], _SINGULAR)
     far = np.abs(joints - home).max() * size * slack > opening(legs, free)
+    shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_STARTS, len(home)))
+    starts = home + np.linspace(0.0, _WIDEST, _STARTS)[:, None] * scales * shares
+    starts = np.clip(starts, low, high)
+    drawn = np.concatenate([_fitted(closures, start[None]) for start in starts])
+    drawn_open = opening(legs, free) > enough
+    far |= drawn_open and _singular(closures, poses, joints, drawn, starts).any()
     if far or gaps[0] > _CLOSED * size or (joints != np.clip(joints, low, high)).any():
-        shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_STARTS, len(home)))
-        starts = home + np.linspace(0.0, _WIDEST, _STARTS)[:, None] * scales * shares
-        starts = np.clip(starts, low, high)
-        drawn = np.concatenate([_fitted(closures, start[None]) for start in starts])
         further = _closed(closures, drawn, starts, max(slack, _SINGULAR), low, high)
         poses, joints, gaps = map(np.concatenate, zip((poses, joints, gaps), further, strict=True))
     outside = (joints != np.clip(joints, low, high)).any(axis=1)
     moved = (np.abs(joints - home) / scales).max(axis=1)
-    best = int(np.lexsort((moved, outside, np.where(gaps > enough, gaps, 0.0)))[0])
+    singular = drawn_open & _singular(closures, poses, joints, drawn, starts)
+    best = int(np.lexsort((moved, outside, singular, np.where(gaps > enough, gaps, 0.0)))[0])
     if not gaps[best] <= enough:
         raise MechanismError(
             "the loops do not close near the joint positions that the file draws: "
@@ -107,6 +111,23 @@ def _linearised(closures: Sequence[LegClosure], poses: Array, joints: Array) -> 
     by_pose = np.concatenate([part.pose for part in parts], axis=1)
     J = np.concatenate((by_pose, block_diagonal([part.by_joints for part in parts])), axis=2)
     return np.concatenate([part.gap for part in parts], axis=1), J
+
+
+def _singular(
+    closures: Sequence[LegClosure], poses: Array, joints: Array, drawn: Array, starts: Array
+) -> Mask:
+    """Return where passive joints of a leg move its ends less than they usually do, shape (N,).
+
+    They usually do as at drawn poses (M, 4, 4) and starts (M, n); what is idle does not count.
+    """
+    count, singular = len(joints), np.zeros(len(joints), dtype=bool)
+    every = np.concatenate((poses, drawn))
+    for closure, q in zip(closures, _parts(closures, np.vstack((joints, starts))), strict=True):
+        values = np.linalg.svd(closure.evaluate(q, every).passive, compute_uv=False)
+        usual = np.median(values[count:], axis=0)
+        less = (values[:count] < _GRIP * usual) & (usual > _IDLE * closure.size)
+        singular |= less.any(axis=1)
+    return singular
 
 
 def _widest(closures: Sequence[LegClosure], pose: Array, joints: Array) -> str:

@@ -130,7 +130,7 @@ def forward(
     Without a guess they are searched from home, then on the way from home; rows that are not found
     have no pose, and a reason. More legs than freedoms have no pose in common if readings are not
     exact: it is then that of the least sum of squared gaps, and ``gap`` is how far they contradict.
-    Drives that leave freedoms open have the pose nearest to the guess, and none without one.
+    Drives that leave freedoms open have a pose near the guess, and none without one.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
