@@ -129,7 +129,7 @@ def test_against_figaroh(
     )
     print(f"{1e3 * errors[0]:.5f} mm by pincal, {1e3 * errors[1]:.5f} mm by FIGAROH")
     assert errors[0] <= errors[1] * (1 + 1e-6)
-    what, asked = f"serial arm, UR10, {count} full poses", "≥ 20" if count >= 100 else "≥ 5"
+    what, asked = f"UR10, {count} poses", "≥ 20" if count >= 100 else "≥ 5"
     for how, times, wanted in (("", theirs, asked), (", its solve alone", alone, "")):
         ratio = float(np.median(times[1:]) / np.median(own[1:]))
         ratios(f"{what}: FIGAROH over pincal{how}", ratio, wanted)

@@ -62,7 +62,7 @@ def test_symmetry_and_brute_force(benchmark: Any, ratios: Any, hexapod: pincal.M
     )
     brute *= grid.size / len(few)
     poses = grid.size * len(turns)
-    where = f"total orientation workspace, {poses:,} poses"
+    where = f"total orientations, {poses:,} poses"
     ratios(f"{where}: without symmetry over with it", long / short, ">= 5")
     ratios(f"{where}: vectorised NumPy brute force over with symmetry", brute / short, ">= 4")
     ratios(f"{where}: vectorised NumPy brute force over without symmetry", brute / long, "")

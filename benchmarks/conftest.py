@@ -51,9 +51,8 @@ def _page(rows: list[tuple[str, float, str]]) -> str:
     lines = [
         "# Benchmarks",
         "",
-        "Written by `python -m pytest benchmarks/bench_*.py -n 0 --docs`;",
-        "ratios of medians, measured in one run, on the bundled 3-RRR and 6-UPS.",
-        "What is wanted are aims, and not all are reached.",
+        "By `python -m pytest benchmarks/bench_*.py -n 0 --docs`: ratios of medians in one run, on",
+        "the bundled 3-RRR and 6-UPS. What is wanted are aims.",
         f"Python {platform.python_version()}, {packages}, {os.cpu_count()} cores, "
         f"{platform.machine()}.",
         "",

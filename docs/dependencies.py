@@ -127,11 +127,11 @@ def direct(*groups: str) -> str:
     """Return the table of what pincal asks for."""
     already = {one.name for one in asked()} if groups else set()
     rows = [
-        f"| {one.name} | {licence(one.name)} | {WHY[one.name]} |\n"
+        f"- {one.name} ({licence(one.name)}): {WHY[one.name]}\n"
         for one in sorted(asked(*groups), key=lambda one: list(WHY).index(one.name))
         if one.name not in already
     ]
-    return "| package | licence | why |\n|---|---|---|\n" + "".join(rows)
+    return "".join(rows)
 
 
 def indirect() -> str:

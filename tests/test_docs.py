@@ -223,7 +223,7 @@ def test_dependencies_page_is_what_is_installed(dependencies: dict[str, Any]) ->
     """
     page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
     tools = [one.name for one in dependencies["asked"]("test", "dev")]
-    assert all(f"| {name} |" in page for name in tools)
+    assert all(f"\n- {name} (" in page for name in tools)
     try:
         made = dependencies["written"](page, "library", "tools")
     except PackageNotFoundError:
