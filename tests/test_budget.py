@@ -22,7 +22,7 @@ LINES = {
     "files": 3_385,
     "formats": 3_506,
     "instruments": 1_577,
-    "kinematics": 3_412,
+    "kinematics": 3_417,
     "model": 3_610,
     "show": 4_224,
     "symmetry": 1_373,

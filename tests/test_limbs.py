@@ -207,6 +207,8 @@ def test_drives_need_not_be_as_many_as_freedoms(drives: str) -> None:
     np.testing.assert_allclose(solution.poses, plan.poses, atol=1e-4)
     assert solution.gap.max() < 1e-9
     assert pincal.forward(mechanism, plan.readings).converged.all() == (drives == "more")
+    contradicting = pincal.forward(mechanism, plan.readings + np.array([0.01, 0.0]), plan.poses)
+    assert ("readings contradict" in str(contradicting)) == (drives == "more")
     true = pincal.disturb(mechanism, 1e-3, seed=1)
     simulation = pincal.simulate(mechanism, true, plan, pincal.Noise(0.0, 0.0, 0.0))
     assert len(simulation.rows) > 25

@@ -89,6 +89,7 @@ _WAY = 8  # steps on the way from home
 _STEPS, _LARGEST = 40, 0.2  # of Newton's method: how many, and how far at once
 _SMALL = 1e-9  # step after which the next error is rounding
 _CLOSED = 1e-8  # gap, of a leg's size, of what is closed
+_TOLD = 1e-6  # [m], from which legs that stay open are told
 LOADS = 20
 """Loads follow from where the machine is, which follows from loads: found again."""
 
@@ -110,7 +111,11 @@ class ForwardSolution:
     """Why a row has no pose; empty strings where it has one."""
 
     def __repr__(self) -> str:
-        return f"ForwardSolution: {np.count_nonzero(self.converged)} of {len(self.poses)} poses"
+        gap = np.max(self.gap, initial=0.0, where=np.isfinite(self.gap))
+        apart = f"; readings contradict, legs stay up to {gap:.3g} m open" * bool(gap > _TOLD)
+        return (
+            f"ForwardSolution: {np.count_nonzero(self.converged)} of {len(self.poses)} poses{apart}"
+        )
 
     def __str__(self) -> str:
         """Return a page: why poses were not found, and how many of them."""
