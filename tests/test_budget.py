@@ -24,7 +24,7 @@ LINES = {
     "instruments": 1_577,
     "kinematics": 3_417,
     "model": 3_610,
-    "show": 4_224,
+    "show": 4_223,
     "symmetry": 1_373,
     "words": 950,
     "workspace": 1_495,

@@ -41,7 +41,7 @@ REFERENCE = "reference"
 _ROUND = 8  # fewest rows of a round
 _BLOCKED = 1e3  # length of a blocked way
 _WORKSPACE, _SEED = 200, 1  # configurations over which errors are stated
-_FAR = 10.0  # prior standard deviation of frames, in sizes of the machine, or rad
+_FAR = 10.0  # standard deviation of unknowns without a prior, in sizes of the machine, or rad
 _COURSE = 100  # most poses of a course
 
 

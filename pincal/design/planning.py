@@ -39,7 +39,7 @@ from pincal.workspace.sampling import sample_configurations, sample_contacts
 CONFIGURATIONS = 3000
 """Number of candidates, where poses serve all parameters together."""
 _POSES = 30_000  # candidates, where legs have poses of their own
-_FEW = 4  # if limits leave less than 1 of so many candidates, more are drawn
+_FEW = 4  # if limits leave fewer than one in so many candidates, more are drawn
 _log = logging.getLogger(__name__)
 
 

@@ -41,7 +41,7 @@ class Unidentified(NamedTuple):
     nominal: Mechanism
     """The mechanism at which the directions were computed."""
     measured: Plan | None = None
-    """Poses at which everything was measured, so that larger motions than there count."""
+    """Poses at which the whole platform was measured: smaller motions than there are harmless."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -209,7 +209,7 @@ def corners_of(setup: Setup, data: Measurements) -> Columns:
 
 
 def _cameras_and_points(corners: TextTable, pairs: Pairs) -> list[tuple[str, str]]:
-    """Return camera and point of each corner; a table without cameras must not need them."""
+    """Return camera and point of each corner; without cameras, each point must have just one."""
     points, cameras = corners.text["point"], corners.text.get("camera")
     if cameras is None:
         of_point = {point: camera for camera, point in pairs}

@@ -123,9 +123,9 @@ def observed_groups(result: CalibrationResult) -> list[ResidualGroup]:
 
 
 def noisy_residuals(result: CalibrationResult) -> list[ResidualGroup]:
-    """Return residuals that carry noise: only the platform's if readings are exact.
+    """Return residuals that carry noise: of the platform if readings are exact, else of the legs.
 
-    Noisy readings share the residuals with the platform, and both are returned.
+    Both are returned if readings have noise, since they share the misfit with the platform.
     """
     if readings_exact(result):
         return observed_groups(result)

@@ -56,8 +56,7 @@ DARK = {
 }
 #: Backgrounds of pages, light and dark, and colours of text on them.
 PAPER, INK = ("#ffffff", "#16191d"), ("#222222", "#e8e8e8")
-#: Widths of figures in one column and across two, [mm].
-COLUMN, PAGE_WIDTH = 80.0, 170.0
+PAGE_WIDTH = 170.0  # width of a figure across a page, [mm]
 RASTER_FROM = 1500  # points; more are drawn as pixels, so that a vector picture stays small
 
 

@@ -1,4 +1,4 @@
-// Dots of poses: a click goes to one, the pointer over one says which it is.
+// Dots of poses: a click goes to a pose, and the pointer over a dot shows which pose it is.
 function Dots({ data, pane, node, element, places, about, show, pixels, move }) {
   const tip = element("div", "", pane);
   Object.assign(tip, { className: "tip", hidden: true });

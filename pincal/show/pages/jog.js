@@ -1,5 +1,5 @@
-// Moves the mechanism off its poses, by sliders and by dragging. Kinematics are Python's: the page
-// asks the server that it came from, and draws and writes what that answers.
+// Moves the mechanism to other poses, by sliders and by dragging. Python computes the kinematics:
+// the page asks the server that it came from, and shows the answer.
 function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
   const { THREE } = MeshCat;
   const fields = document.getElementById("jog");

@@ -1,4 +1,4 @@
-// What stands over the scene in letters: names of legs, axes, and a scale.
+// Labels over the scene: names of legs and axes, and a scale.
 function Labels({ data, viewer, pane, node, element, coloured, turned, pixels, move }) {
   const { THREE } = MeshCat;
   const tags = data.legs.map((leg) => {

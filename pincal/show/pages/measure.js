@@ -1,5 +1,5 @@
 "use strict";
-// The page is a terminal: it posts lines ("1.2 3.4", u, k, s) and shows the state that answers.
+// The page is a terminal: it posts lines ("1.2 3.4", u, k, s) and shows the state in the answer.
 const at = (id) => document.getElementById(id);
 let state = { version: null };
 

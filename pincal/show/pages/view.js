@@ -34,7 +34,7 @@
     viewer.set_dirty();
   };
 
-  // The scene: shapes on parts that move, dots and lines that stand still
+  // The scene: shapes on moving parts, static dots and lines
 
   const corners = (text) => new THREE.BufferAttribute(new Float32Array(doubles(text)), 3);
   const geometries = {
@@ -67,7 +67,7 @@
   ["Grid", "Axes"].forEach((path) => setVisible(path, false)); // meshcat's own
 
   function place(body, index) {
-    // matrices hold columns of 3 for each part; NaN where it is not to be drawn
+    // matrices hold columns of 3 for each part; NaN where a part is not drawn
     const [nominal, own] = [drawn.matrices[0], drawn.matrices[index]];
     const mixed = body.share !== 1 && own && nominal.length === own.length;
     body.objects.forEach((object, part) => {
@@ -82,7 +82,7 @@
     viewer.set_dirty();
   }
 
-  // Colours on dark ground; materials keep their own where the palette has none
+  // Colours on a dark ground; materials keep a colour that the palette does not replace
 
   const night = window.matchMedia("(prefers-color-scheme: dark)");
   const byDay = new Map(); // colours of materials
@@ -216,7 +216,7 @@
   const labels = Labels({ data, viewer, pane, node, element, coloured, turned, pixels, move });
   checkbox(find("layers"), "names of legs", true, labels.show);
 
-  // The camera, in parallel projection: from above where all is in a plane, else from the side
+  // The camera, in parallel projection: from above for planar mechanisms, else from the side
 
   const centre = turned(data.centre);
   const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, 0.01 * size, 20 * size);
@@ -247,7 +247,7 @@
   };
   window.addEventListener("resize", widen);
 
-  // What people do
+  // Input by mouse and keyboard
 
   const steps = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, Home: -poses, End: poses };
   document.addEventListener("keydown", (event) => {
