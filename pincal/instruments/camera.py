@@ -33,10 +33,10 @@ SMALLEST_WINDOW = 3  # half the side of what a corner is found by [px]
 
 
 def windows(clear: float, slopes: Array) -> Array:
-    """Return half the sides of windows about points in which nothing else is seen, (…,), [px].
+    """Return half the sides of the windows around points that show nothing else, (…,), [px].
 
-    Clear is the radius of that on the board, [m]; slopes are pixels by x and y of the board there,
-    shape (…, 2, 2), [px/m].
+    ``clear`` is the radius on the board in which nothing else is printed, [m]; ``slopes`` are the
+    derivatives of pixels by x and y of the board at the points, shape (…, 2, 2), [px/m].
     """
     return np.asarray(0.9 * clear * np.linalg.svd(slopes, compute_uv=False)[..., 1] - 0.5)
 
@@ -109,9 +109,9 @@ class Markers:
         return len(points) > 1 and np.ptp(points, axis=0).max() > self.tolerance
 
     def placed_at(self, places: Array) -> dict[str, float]:
-        """Return where frame and points are, by id, if the points are at places, (M, 3), [m].
+        """Return the numbers of the markers' frame and points by id, from places of the points.
 
-        In the frame of what holds them; NaN where that is not known.
+        The places are in the frame of what holds the markers, shape (M, 3), [m]; NaN if unknown.
         """
         listed = np.array([point is not None for point in self.points.values()])
         points = np.reshape([point or (0.0, 0.0, 0.0) for point in self.points.values()], (-1, 3))
@@ -219,7 +219,7 @@ class Camera:
 
     @cached_property
     def _numbers(self) -> tuple[Array, Array]:
-        """All numbers, of place, lens and markers, and which of them the parameters are."""
+        """All numbers of place, lens and markers, and the indices of the parameters in them."""
         place = [*(self.at or (0.0,) * 3), *(self.rotation or (0.0,) * 3)]
         markers = self.markers.values
         every = np.array([*place, *self.lens.values, *markers.values()])
@@ -229,7 +229,7 @@ class Camera:
         return every, np.array([names.index(p.id) for p in self.parameters], dtype=int)
 
     def _parts(self, values: Array) -> tuple[Array, Array, Array, float, Array]:
-        """Return place of the camera, lens, place of the markers, their scale, and points."""
+        """Return the camera's place, the lens, and the markers' place, scale and points."""
         every, places = self._numbers
         numbers = every.copy()
         numbers[places] = values
@@ -282,7 +282,7 @@ class Camera:
         return pixels.reshape(rows) - measured, by_twist.reshape(*rows, 6), by_parameters
 
     def metres_per_pixel(self, poses: Array, values: Array) -> Array:
-        """Return what a pixel is across the line of sight, where points are, (N, r), [m/px]."""
+        """Return the size of a pixel across the line of sight at the points, (N, r), [m/px]."""
         place, lens, *_ = self._parts(values)
         ray = self._carried(poses, values)[2] - place[:3]
         by_seen = self.lens.project(ray @ _matrix(place)[:3, :3], lens)[1]
@@ -290,7 +290,7 @@ class Camera:
         return np.repeat(areas**-0.25, 2, axis=1)
 
     def visible(self, poses: Array, values: Array) -> Mask:
-        """Return which columns it could measure at poses, shape (N, r).
+        """Return which columns the camera could measure at poses, shape (N, r).
 
         Of points in its image, in focus, large enough, seen from the side on which they are
         printed.
@@ -315,7 +315,7 @@ class Camera:
         return np.repeat(visible, 2, axis=1)
 
     def facing(self, poses: Array, values: Array) -> Array:
-        """Return cosines of lines of sight to the normal, (N, M): below 0 from behind."""
+        """Return cosines between lines of sight and the normal, (N, M); negative from behind."""
         place, _, on_holder, *_ = self._parts(values)
         T, _, moved = self._carried(poses, values)
         if self.markers.normal is None:
@@ -325,11 +325,11 @@ class Camera:
         return np.asarray(-(ray * normals[:, None]).sum(axis=2) / np.linalg.norm(ray, axis=2))
 
     def by_hand_eye(self, poses: Array, measured: Array) -> tuple[Array, Array] | None:
-        """Return pixels by which hand–eye calibration misses photos that it has not seen, and m.
+        """Return the misses of hand–eye calibration in photos that it has not seen, (N, r).
 
-        Every second photo is predicted by the others; shapes (N, r), [px] and, across the line of
-        sight, [m]. None of too few photos of known points. Poses are T_frame_platform of the
-        machine as it is drawn, (N, 4, 4), measured pixels NaN where not seen.
+        They are in pixels and, across the line of sight, in metres; every second photo is predicted
+        by the others. The result is None for too few photos of known points. Poses of the nominal
+        machine are T_frame_platform, (N, 4, 4); measured pixels are NaN where not seen.
 
         Raises:
             ModuleNotFoundError: OpenCV is not installed.
@@ -374,7 +374,7 @@ class Camera:
 
 
 def _numbers_of(name: str, place: Array) -> dict[str, float]:
-    """Return a position and a rotation vector, shape (6,), by the ids of their numbers."""
+    """Return the numbers of a position and a rotation vector, shape (6,), by id."""
     ids = (f"{name}.{axis}" for axis, _ in _PLACE)
     return dict(zip(ids, place.tolist(), strict=True))
 
@@ -394,7 +394,7 @@ def _jacobian(vector: Array) -> Array:
 
 
 def _looking(position: Point, towards: Point) -> Point:
-    """Return the rotation vector of a camera that looks from a point towards another, upright."""
+    """Return the rotation vector of an upright camera that looks from one point to another."""
     ahead = np.subtract(towards, position) / np.linalg.norm(np.subtract(towards, position))
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     if np.linalg.norm(right) < 1e-6:  # straight up or down: y is up in the image

@@ -1,12 +1,12 @@
-"""Where a camera is, by the rays on which a moving machine carries points past it.
+"""The pose of a camera from the rays along which it sees points that a machine moves.
 
 With T_i the nominal poses, p_m points in the frame of the platform (or the room, if the platform
 holds the camera and T_i are inverse poses), and e = R d rays turned into the camera's holder's
-axes, R_i p_m + t_i − t is along e. For a rotation R of the camera that is linear in all else, its
-place t and the points: the rotation alone is sought, from the 24 of a cube (variable projection).
-No point needs to be known, and no pose of a board in a photograph is needed.
+axes, R_i p_m + t_i − t is along e. For a given rotation R of the camera that is linear in its
+position t and the points, so only the rotation is searched, from the 24 of a cube (variable
+projection). No point and no pose of a board in a photograph needs to be known.
 
-What hand–eye calibration says of it stands beside: that takes the machine as it is drawn.
+Hand–eye calibration is given for comparison: it takes the nominal machine as exact.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ if TYPE_CHECKING:
 else:
     cv2 = lazy_loader.load("cv2")
 
-_POINTS, _POSES = 8, 40  # with which a rotation is sought
-_BEST = 3  # rotations of a cube from which the search goes on
-_DRAWS = 4  # sets of poses, some of which may hold gross errors
+_POINTS, _POSES = 8, 40  # most points and poses in the search of a rotation
+_BEST = 3  # number of rotations of the cube that are refined
+_DRAWS = 4  # number of random sets of poses, since some may hold gross errors
 _GROSS = 5.0  # times the median angle, from which a ray is left out
 _ROUNDS = 3
 _STILL = 1e-6  # motion of the platform over its distance, below which it stands still
 
 
 def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, Array] | None:
-    """Return place and rotation vector of a camera, (6,), and points, (M, 3), NaN if never seen.
+    """Return the position and rotation vector of a camera, (6,), and the points, (M, 3).
 
-    None where too little was seen, or the machine's positions do not change.
+    Points that were seen once at most are NaN. The result is None if too little was seen, or if the
+    machine's positions do not change.
 
     Args:
         T: Poses of what carries the points, shape (N, 4, 4).
@@ -69,7 +70,7 @@ def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, 
 
 
 class _Rays:
-    """Rays that points are seen along at poses: their misses for a rotation of the camera."""
+    """Rays to points at poses, and their distances from the points for a camera's rotation."""
 
     def __init__(self, T: Array, rays: Array, points: Array | None) -> None:
         self.T, self.points = T, points
@@ -77,13 +78,13 @@ class _Rays:
         self.rays = np.where(self.seen[:, :, None], rays, 0.0)
 
     def _across(self, turn: Array) -> Array:
-        """Return what takes the part across rays, shape (N, M, 3, 3); zero where not seen."""
+        """Return the projectors across the rays, shape (N, M, 3, 3); zero where not seen."""
         e = self.rays @ Rotation.from_rotvec(turn).as_matrix().T
         across = np.eye(3) - e[..., :, None] * e[..., None, :]
         return np.where(self.seen[:, :, None, None], across, 0.0)
 
     def solution(self, turn: Array) -> tuple[Array, Array, Array]:
-        """Return the place, (3,), points, (M, 3), and what rays then miss, (N, M, 3)."""
+        """Return the camera's position, the points (M, 3), and the misses of rays (N, M, 3)."""
         A, (R, t) = self._across(turn), (self.T[:, :3, :3], self.T[:, :3, 3])
         M = A.shape[1]
         AR = A @ R[:, None]
@@ -116,21 +117,21 @@ class _Rays:
         return float(np.median(np.linalg.norm(missed, axis=2)[self.seen]))
 
     def sought(self, turn: Array) -> Array:
-        """Return the rotation vector near one at which rays miss their points least."""
+        """Return the rotation vector near a given one that minimises the misses of rays."""
         misses = least_squares(
             lambda step: self.solution(_after(step, turn))[2].ravel(), np.zeros(3), max_nfev=15
         )
         return _after(misses.x, turn)
 
     def without(self, turn: Array) -> _Rays:
-        """Return these rays less those that miss their points by far more than most."""
+        """Return the rays without those that miss their points by far more than most."""
         missed = np.linalg.norm(self.solution(turn)[2], axis=2)
         usual = np.median(missed[self.seen])
         good = self.seen & (missed <= _GROSS * usual)
         return _Rays(self.T, np.where(good[:, :, None], self.rays, np.nan), self.points)
 
     def points_from(self, place: Array) -> Array:
-        """Return points by the rays of a camera that is placed, (M, 3); NaN if seen too rarely."""
+        """Return points (M, 3) from the rays of a placed camera; NaN if seen once at most."""
         A, R = self._across(place[3:]), self.T[:, None, :3, :3]
         normal = (R.transpose(0, 1, 3, 2) @ A @ R).sum(axis=0)
         offset = (place[:3] - self.T[:, :3, 3])[:, None, :, None]
@@ -140,7 +141,7 @@ class _Rays:
 
 
 def board_in_camera(points: Array, rays: Array) -> Array | None:
-    """Return T_camera_board, (4, 4), of points, (M, 3), by unit rays to them; None of too few."""
+    """Return T_camera_board of points (M, 3) from unit rays to them; None if there are too few."""
     ahead = np.isfinite(rays[:, 2]) & (rays[:, 2] > 0.0)
     if ahead.sum() < 4:
         return None
@@ -153,11 +154,11 @@ def board_in_camera(points: Array, rays: Array) -> Array | None:
 
 
 def by_hand_eye(T: Array, boards: Array) -> tuple[Array, Array]:
-    """Return T_holder_camera and T_carrier_board, (4, 4), by a machine that is as it is drawn.
+    """Return T_holder_camera and T_carrier_board, (4, 4), with the machine's poses as exact.
 
-    Of T T_carrier_board = T_holder_camera T_camera_board, rotations first: vec R_holder_camera is
-    the sum of (R_camera_board ⊗ R) vec R_carrier_board (M. Shah 2013, as OpenCV's
-    ``calibrateRobotWorldHandEye`` has it).
+    They solve T T_carrier_board = T_holder_camera T_camera_board for the rotations first, of which
+    vec R_holder_camera is the sum of (R_camera_board ⊗ R) vec R_carrier_board (M. Shah 2013, like
+    OpenCV's ``calibrateRobotWorldHandEye``).
 
     Args:
         T: Poses of what carries the board, in the frame of what holds the camera, (N, 4, 4).

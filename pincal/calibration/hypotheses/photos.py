@@ -1,8 +1,8 @@
-"""What goes wrong with photos: hypotheses, judged by the machine as it is drawn.
+"""Faults of photos: hypotheses that are judged by the nominal machine.
 
-Each puts pixels or boards right and places cameras and boards anew, as a search begins; of what the
-nominal machine then misses, the median is judged. The hypothesis that leaves least explains photos
-if that is half at most of what they miss as they are. Single points are judged by fits.
+Each hypothesis corrects pixels or boards and places cameras and boards anew, as a search begins. It
+is judged by the median miss of the nominal machine. The hypothesis with the smallest miss explains
+the photos if it at least halves the miss. Single points and moved cameras are judged by fits.
 """
 
 from __future__ import annotations
@@ -27,37 +27,37 @@ from pincal.kinematics.forward import forward
 from pincal.types import Array
 from pincal.words.findings import finding, sentence
 
-_RATIO = 2.0  # by which what is put right divides the misfit
-_ROWS = 40  # enough to judge by
+_RATIO = 2.0  # by which a hypothesis divides the miss if it explains photos
+_ROWS = 40  # number of rows by which hypotheses are judged
 _SHIFTS = (1, -1, 2, -2)
-_UNSURE = 0.2  # of the pitch of a board, relative, if it may be any
-_FAR = 5e-3  # of the machine's size: by so much no machine as drawn misses points
-_ROUNDS = 5  # of points that do not fit, in turn with fits
-_PITCH, _FAR_PITCH = 5e-3, 1e-2  # by which a pitch is off that is not as said
+_UNSURE = 0.2  # relative standard deviation of the pitch of a board, if that is sought
+_FAR = 5e-3  # of the machine's size: a median miss that errors of the machine do not explain
+_ROUNDS = 5  # of fits, each followed by a new choice of the points that do not fit
+_PITCH, _FAR_PITCH = 5e-3, 1e-2  # relative errors of a pitch, clear and large
 
 Judged = tuple[float, str, dict[str, Any]]
-"""What is missed, median [m], code and values of what would be wrong."""
+"""The median miss [m] under a hypothesis, and the code and values of its finding."""
 
 
 def photo_faults(calibration: Calibration) -> tuple[Finding, ...]:
-    """Return what would explain that photos do not fit; empty if nothing does."""
+    """Return the fault that explains a misfit of photos, as a finding; empty if none does."""
     sample = _sample(calibration)
     judged = [(_missed(c)[0], code, values) for code, values, c in _hypotheses(calibration)]
     return _explaining(_missed(sample)[0], [*judged, *_scaled(sample)])
 
 
 def check_photos(calibration: Calibration) -> None:
-    """Raise a MisfitError if photos do not fit the nominal machine, and something explains that."""
+    """Raise a MisfitError if a fault explains why photos do not fit the nominal machine."""
     if _missed(_sample(calibration))[0] > _FAR * calibration.mechanism.size:
         for fault in photo_faults(calibration):
             raise MisfitError(sentence(fault))
 
 
 def pitch_faults(calibration: Calibration) -> tuple[Finding, ...]:
-    """Return that a board has another pitch than said, which else changes all lengths alike.
+    """Return the finding that a board has another pitch than its file says, if it has.
 
-    What is far off is said if the machine as drawn misses points less with it: so far its own
-    lengths are not off together.
+    A wrong pitch scales all lengths of the machine, so the fit does not show it. A large error is
+    reported if it reduces the miss at all: drawings are not wrong by so much in all lengths.
     """
     sample = _sample(calibration)
     scaled = [*_scaled(sample)]
@@ -68,7 +68,7 @@ def pitch_faults(calibration: Calibration) -> tuple[Finding, ...]:
 def boards_behind(
     calibration: Calibration, poses: Array, external: External
 ) -> tuple[Finding, ...]:
-    """Return which flat boards a fit sees from behind at its poses, (N, dof): mirrored ones."""
+    """Return the flat boards that a fit sees from behind at poses (N, dof): mirrored prints."""
     matrices = external.frame @ calibration.mechanism.platform.matrices(poses)
     ids, extra = calibration.options.setup.device_parameters, calibration.measurements.extra
     values, behind = dict(zip(ids, external.instruments.tolist(), strict=True)), dict[str, None]()
@@ -137,7 +137,7 @@ def _explaining(
 
 
 def _sample(calibration: Calibration) -> Calibration:
-    """Return a calibration on some of its rows, by boards of exactly the pitch that is said."""
+    """Return the calibration on some of its rows, with the pitch of boards taken as exact."""
     count = len(calibration.measurements)
     rows = np.unique(np.linspace(0, count - 1, min(count, _ROWS)).astype(int))
     boards = {c.markers.name: replace(c.markers, scale=0.0) for c in _cameras(calibration)}
@@ -149,7 +149,7 @@ def _cameras(calibration: Calibration) -> list[Camera]:
 
 
 def _hypotheses(calibration: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibration]]:
-    """Yield what may be wrong with a few rows put right: order, turns, mirrors, boards confused."""
+    """Yield each hypothesis with its code, its values and the corrected calibration."""
     data, sample = calibration.measurements, _sample(calibration)
     columns = [column for camera in _cameras(sample) for column in camera.columns]
     for shift in _SHIFTS:
@@ -173,7 +173,7 @@ def _hypotheses(calibration: Calibration) -> Iterator[tuple[str, dict[str, Any],
 
 
 def _boards(sample: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibration]]:
-    """Yield boards mirrored, and two of them exchanged."""
+    """Yield the hypotheses of mirrored boards and of two exchanged boards."""
     boards = {camera.markers.name: camera.markers for camera in _cameras(sample)}
     for name, board in boards.items():
         mirrored = {p: xyz and (-xyz[0], *xyz[1:]) for p, xyz in board.points.items()}
@@ -190,7 +190,7 @@ def _boards(sample: Calibration) -> Iterator[tuple[str, dict[str, Any], Calibrat
 
 
 def _scaled(sample: Calibration) -> Iterator[Judged]:
-    """Yield that boards have another pitch than said, by what machine and photos say of it."""
+    """Yield the hypothesis of another pitch for each board, as the nominal machine shows it."""
     for name, board in {c.markers.name: c.markers for c in _cameras(sample)}.items():
         if any(point is not None for point in board.points.values()):
             case = _with_boards(sample, {name: replace(board, scale=_UNSURE)})
@@ -201,9 +201,9 @@ def _scaled(sample: Calibration) -> Iterator[Judged]:
 
 
 def _missed(calibration: Calibration) -> tuple[float, dict[str, float]]:
-    """Return by how much the nominal machine misses points, median, [m].
+    """Return the median distance by which the nominal machine misses points, [m].
 
-    Further, values of what is unknown of cameras by id.
+    The second value has the unknowns of the cameras by id.
     """
     machine, data = calibration.mechanism, calibration.measurements
     observation, ids = calibration.observation, calibration.options.setup.device_parameters
@@ -231,11 +231,10 @@ def _with_boards(calibration: Calibration, boards: dict[str, Markers]) -> Calibr
 
 
 def without_false_points(calibration: Calibration) -> Calibration:
-    """Return a calibration without points in photos that do not fit, each judged by itself.
+    """Return a calibration without the single points in photos that do not fit.
 
-    Its noise is as large as it is off, by a loss that forgets none (Cauchy's), in turn with fits,
-    until the same do not fit however many there are. Photos most of which do not fit are rows
-    that do not.
+    Fits alternate with weights of the points by Cauchy's loss until the same points do not fit. A
+    photo in which most points do not fit is kept: it is an outlying row.
     """
     data, setup = calibration.measurements, calibration.options.setup
     pairs = [p for device in setup.instruments for p in getattr(device, "marks", {}).values()]
