@@ -295,6 +295,17 @@ def test_held_out_rows_follow_the_same_start(tmp_path: Path) -> None:
     assert loaded.noise.source == result.calibration.noise.source
 
 
+def test_a_wrong_row_does_not_hide_in_what_is_expected() -> None:
+    """One row 20 mm off spoils the fit of all; held-out rows are then worse than is expected."""
+    nominal, noise = pincal.load_mechanism("3RRR"), pincal.Noise(2e-4, 1e-4)
+    truth, plan = pincal.disturb(nominal, 1e-3, seed=1), pincal.Plan(workspace("3RRR", 48, 1))
+    data = pincal.simulate(nominal, truth, plan, noise, seed=1).measurements
+    data = replace(data, poses=data.poses + 0.02 * (np.arange(144).reshape(48, 3) == 30))
+    (worse,) = pincal.calibrate(nominal, data, noise=noise).validated().validation.findings
+    assert worse.code == "held-out-worse"
+    assert worse.values["held_out"] > 3.0 * worse.values["expected"]
+
+
 def test_what_is_held_out_is_said_once() -> None:
     """A finding of validation contradicts once, whether or not it is among the result's."""
     mechanism, _, data = machine("3RRR", 60)

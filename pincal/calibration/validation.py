@@ -93,7 +93,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
     _check_touched(calibration, groups)
-    count, chances, drawn, of_folds = int(groups.max()) + 1, [], [], np.zeros(4)
+    count, chances, drawn, of_folds = int(groups.max()) + 1, [], [], []
     sigma = np.full(len(groups), np.nan)
     at_fit = misses_of(
         calibration.rows(calibration.counts), fits_of_all.parameters, fits_of_all.external
@@ -121,18 +121,21 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         sigma[groups == fold] = [as_one(row[0] / unit, int(row[3])) for row in sums]
         for target, values in misses_of(held, fits.parameters, fits.external).items():
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
-        of_folds += sums.sum(axis=0)
+        of_folds.append([*sums.sum(axis=0)[1:], fits.chi2 / max(fits.degrees_of_freedom, 1)])
         drawn.append(_drawn_errors(fits, held, predicted[0][2], unit, fold))
-    _, squares, unknown, equations = of_folds
-    fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
-    error = float(np.sqrt(squares / equations / unit))
-    expected = float(fit * np.sqrt(1.0 + unknown / equations))
-    p_value = least_of_folds(chances)
+    fit, p_value = float(np.sqrt(chi2 / max(dof, 1) / unit)), least_of_folds(chances)
+    of_all = [*np.sum(of_folds, axis=0)[:3], chi2 / max(dof, 1)]
+    error, expected = _held_out_and_expected(of_all, unit)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and open_ends[0]
     strays = _stray_rows(fits, predicted, sums, unit, rows, variances) if may_be_wrong else []
     kind = KINDS[count > 1]
-    worse = finding("held-out-worse", kind=kind, held_out=error, expected=expected, p_value=p_value)
+    # rows of one fold may spoil the fit of all
+    decisive = (of_all, of_folds[int(np.argmin(chances))])[error <= expected]
+    shown = _held_out_and_expected(decisive, unit)
+    worse = finding(
+        "held-out-worse", kind=kind, held_out=shown[0], expected=shown[1], p_value=p_value
+    )
     places = np.array(clusters(calibration.measurements))
     validation = Validation(
         folds=count,
@@ -153,6 +156,17 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         ),
     )
     return validation, strays
+
+
+def _held_out_and_expected(sums: Sequence[float], unit: float) -> tuple[float, float]:
+    """Return the root mean square residual of held-out rows, and what is expected, in σ.
+
+    The sums are those of ``_row_sums`` from the second on, then the mean square of the fit.
+    """
+    squares, unknown, equations, of_fit = sums
+    mean_squares = squares / equations, of_fit * (1.0 + unknown / equations)
+    held_out, expected = np.sqrt(np.array(mean_squares) / unit).tolist()
+    return held_out, expected
 
 
 def held_rows(calibration: Calibration, rows: Mask) -> Calibration:
