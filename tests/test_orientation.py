@@ -146,6 +146,7 @@ def test_quaternions_of_a_tool_that_points_down_calibrate(tmp_path: Path) -> Non
     """With qw = qz = 0 exactly, reduced χ² is that of the same poses turned by 1e-9 rad.
 
     Poses are products of cosines; positions have the noise that is given, orientations none.
+    Columns of quaternions need no unit.
     """
     file, rng = tmp_path / "down.urdf", np.random.default_rng(3)
     file.write_text(DOWN.format(pi="3.14159265359"))
@@ -154,13 +155,14 @@ def test_quaternions_of_a_tool_that_points_down_calibrate(tmp_path: Path) -> Non
     c, zero = rng.uniform(0.0, 0.2, 30), np.zeros(30)
     half, (ex, ey, ez) = (a + b - d) / 2, rng.normal(0.0, 2e-5, (3, 30))
     x, y = 0.3 * np.cos(a) + 0.2 * np.cos(a + b) + ex, 0.3 * np.sin(a) + 0.2 * np.sin(a + b) + ey
-    header = "x [m],y [m],z [m],qw [1],qx [1],qy [1],qz [1],a [rad],b [rad],c [m],d [rad]"
+    header = "x [m],y [m],z [m],qw{},qx{},qy{},qz{},a [rad],b [rad],c [m],d [rad]"
     chi2 = []
-    for turned in (0.0, 1e-9):
+    for turned, unit in ((0.0, " [1]"), (1e-9, "")):
         table = tmp_path / f"turned_by_{turned}.csv"
         quaternions = (zero + 0.5 * turned, -np.sin(half), np.cos(half), zero)
         rows = np.column_stack((x, y, 0.3 - c + ez, *quaternions, a, b, c, d))
-        np.savetxt(table, rows, "%.17g", ",", header=header, comments="")
+        head = header.format(*4 * [unit])
+        np.savetxt(table, rows, "%.17g", ",", header=head, comments="")
         noise = pincal.Noise(2e-5, 1e-4, 0.0)
         result = pincal.calibrate(mechanism, table, noise=noise)
         assert result.converged

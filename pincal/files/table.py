@@ -99,13 +99,13 @@ class TextTable:
         return array
 
     def numbers(self, column: str, dimension: str, *, blank: bool = False) -> Array:
-        """Return a column of dimension "m", "rad" or "px" in SI units, (N,); NaN where blank."""
+        """Return a column in SI units, (N,); NaN where blank; only dimension "1" needs no unit."""
         unit, header, fault = self.units.get(column), f"'{column} [{dimension}]'", ""
-        kind, factor = UNITS.get(unit or "", ("", 1.0))
+        kind, factor = UNITS.get(unit or "1", ("", 1.0))
         per_unit = self.counts.get(column) if unit == COUNTS else None
         if column not in self:
             fault = f"no column {column!r}; expected {header}. The file has {', '.join(self.units)}"
-        elif unit is None:
+        elif unit is None and dimension != "1":
             fault = f"column {column!r} has no unit; write it in the header, for example {header}"
         elif unit == COUNTS and column in self.counts and per_unit is None:
             fault = f"column {column!r} is in counts, of unknown number per {dimension}: {SCALE}"
