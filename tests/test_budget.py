@@ -22,7 +22,7 @@ LINES = {
     "files": 3_385,
     "formats": 3_506,
     "instruments": 1_578,
-    "kinematics": 3_417,
+    "kinematics": 3_435,
     "model": 3_610,
     "show": 4_223,
     "symmetry": 1_373,
