@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_910,
+    "calibration": 6_911,
     "cli": 2_798,
     "design": 2_334,
     "estimation": 4_756,

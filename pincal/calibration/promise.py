@@ -245,6 +245,7 @@ def misses_of(calibration: Calibration, parameters: Array, external: External) -
     machine = calibration.identified(parameters)
     observation, data = calibration.observation, calibration.measurements
     complete = np.isfinite(data.readings).all(axis=1) & observation.measured.any(axis=1)
+    complete &= machine.constraints >= machine.platform.dof  # else readings have no pose
     rows = np.flatnonzero(complete)
     influences = None if calibration.influences is None else calibration.influences[rows]
     poses = np.where(np.isfinite(data.poses[rows]), data.poses[rows], machine.platform.home)
