@@ -212,8 +212,8 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
     if not partial and missing and len(missing) < len(units):
         raise MeasurementError(
             f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} "
-            f"[{units[missing[0]]}]'; only 'pincal calibrate' takes partly measured poses. "
-            f"The file has {', '.join(table.units)}"
+            f"[{units[missing[0]]}]'; only 'pincal calibrate' by all legs at once takes poses "
+            f"that are measured in part. The file has {', '.join(table.units)}"
         )
     poses = table.array(units, blank=partial, optional=partial)
     if way is None:
