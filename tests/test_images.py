@@ -51,7 +51,9 @@ def test_arrows_lead_from_what_was_seen_to_what_is_predicted(made: dict[str, Any
 def test_points_are_listed_in_pixels_and_at_their_distance(made: dict[str, Any]) -> None:
     """Root mean squares and medians of what each is off, the worst first; all of a camera above."""
     result = made["result"]
-    (table,) = (t for t in result.tables() if t.title.startswith("Points as cameras saw"))
+    (table,) = (
+        t for t in result.tables() if t.title.startswith("Residuals of points seen by cameras")
+    )
     rows = {(row[0], row[1]): [cell.value for cell in row[3:]] for row in table.rows}
     assert [*rows][:4:3] == [("front", "all"), ("front", "c")]
     assert [*rows][5] == ("side", "b")  # of which one was mistaken

@@ -271,7 +271,7 @@ def test_killed_processes_are_done_again(plan: Path, tmp_path: Path) -> None:
             os.killpg(process.pid, signal.SIGINT)
             _, remarks = process.communicate()
             assert process.returncode == 130
-            assert f"To go on: pincal montecarlo 5R {plan} ".encode() in remarks
+            assert f"To continue: pincal montecarlo 5R {plan} ".encode() in remarks
             done(*typed, table)
         assert table.read_bytes() == (tmp_path / "whole.csv").read_bytes()
 

@@ -105,7 +105,7 @@ def test_what_a_promise_leaves_out_is_said_beside_it(tmp_path: Path) -> None:
     assert data["promise_leaves_out"] == ["weight", "scale", "time"]
     np.testing.assert_allclose(data["measured_region"], result.expected_error().sizes.max(axis=0))
     html = result.report().html()
-    for said in (" % of the workspace", "ithout bending, instrument scale, drift"):
+    for said in (" % of the workspace", "xcluding bending, instrument scale, drift"):
         assert said in html
     setup = pincal.Setup(systematic=pincal.Systematic(scale=20e-6))
     measured = result.measurements

@@ -400,7 +400,7 @@ def test_as_many_unknowns_as_values_prove_nothing() -> None:
     assert result.degrees_of_freedom == 0
     page = page_of(result.report())
     first = page.get_element_by_id("answers").text_content()
-    assert "As many unknowns as measured values" in first
+    assert "as many unknowns as measured values" in first
     assert "nan" not in page.get_element_by_id("answers").text_content()
     assert "e-1" not in first
     assert first.count("Yes") == 0

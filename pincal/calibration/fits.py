@@ -17,7 +17,6 @@ from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import ObservabilityError
 from pincal.estimation.components import (
-    PLAUSIBLE,
     Evidence,
     FoundTolerance,
     Moments,
@@ -158,7 +157,7 @@ def _with_estimated_noise(fits: Fits) -> Fits:
     """Return fits at the noise that their residuals show, with covariances widened for it."""
     calibration, mechanism = fits.calibration, fits.calibration.mechanism
     assumed, tie = assumed_noise(mechanism, exact=False), None
-    plausible = 0.0 if calibration.lacks else PLAUSIBLE * assumed.reading
+    plausible = 0.0 if calibration.lacks else assumed.reading
     exact = bool(np.isfinite(calibration.measurements.poses).all()) and not mechanism.redundant
     for _ in range(_REFITS):
         if not fits.sound:

@@ -29,7 +29,6 @@ _BEFOREHAND = 1.0  # prior spread of a variance about the assumed one, over the 
 _TIED = 1e-6  # the same where the assumed ratio is to hold
 _SENSOR = 0.25  # platform motion by noise of tied readings, over the platform's own noise
 _SENSORS_ONLY = 3.0  # the same ratio above which noise of readings is rather a misfit of the model
-PLAUSIBLE = 3.0  # standard deviation of readings over the assumed one: sensors are rarely noisier
 _LARGEST_STEP = 10.0  # largest factor by which a variance changes in a round
 _SMALLEST = 1e-3  # floor of the readings' noise over the largest noise, each over its assumed one
 _ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding

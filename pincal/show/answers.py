@@ -211,7 +211,7 @@ def _limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str
     if not result.promises:
         return [f"no limit is stated: {unpromised(result)}"] if result.contradictions else []
     parts = [UNCOVERED[code] for code in errors.inside.uncovered]
-    return [f"the limit does not cover {', '.join(parts)}"] if parts else []
+    return [f"excluding {', '.join(parts)}"] if parts else []
 
 
 def summary(
