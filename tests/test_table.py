@@ -198,7 +198,7 @@ BAD: dict[str, tuple[bytes, list[str]]] = {
     "header-only": (table(), ["rows"]),
     "column-missing": (
         table("1,2,4,5,6", header=HEADER.replace("phi [rad],", "")),
-        ["'phi'", "'phi [rad]'", "leg_1", "partly measured poses"],
+        ["'phi'", "'phi [rad]'", "leg_1", "measured in part"],
     ),
     "reading-missing": (
         table("1,2,3,4,5", header=HEADER.replace(",leg_3 [rad]", "")),
