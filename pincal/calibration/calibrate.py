@@ -129,9 +129,9 @@ def identified(
     """Return the result of a calibration without findings, and its fits before and after widening.
 
     The second fits include the uncertainty of estimated tolerances. ``near`` are earlier fits whose
-    residuals said that the model lacks something. Errors are as in ``calibrate``. If
-    nothing explains a misfit at the start, but a fit halves it, the mechanism is known only
-    roughly, and the options of the result say so.
+    residuals said that the model lacks something. Errors are as in ``calibrate``. If nothing
+    explains a misfit at the start, but a fit halves it, the mechanism is known only roughly, and
+    the options of the result say so.
     """
     calibration = replace(near.calibration, lacks=True) if near else started(asked)
     try:
@@ -160,8 +160,6 @@ def run(
     result, fits, sure_fits = identified(asked, near)
     findings = (*explain_result(result, fits.external), *findings_of(result, sure_fits))
     findings = (*findings, *points_left_out(asked.measurements, result.measurements))
-    expected = _AS_SAID * asked.options.rough
-    findings = tuple(remark for remark in findings if remark.code not in expected)
     lacks = near is None and "model-lacks" in {remark.code for remark in findings}
     if lacks and tie_of(fits.fits[0], fits.noise):
         return run(asked, folds, by, fits)
@@ -171,6 +169,8 @@ def run(
     outliers = result.outliers
     if result.excess > 1.0 and result.loss == "none":
         findings, outliers = blame_wrong_rows(result, findings)
+    unsaid = _AS_SAID * asked.options.rough
+    findings = tuple(remark for remark in findings if remark.code not in unsaid)
     result = replace(result, findings=findings, outliers=outliers)
     if not folds or not result.converged:
         asked_none = folds == 0 and result.converged

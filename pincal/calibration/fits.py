@@ -273,7 +273,7 @@ def _search_start(
         return replace(fit.last, problem=problem), begin.gauge, fit.problem.first
     start = fit.last.state.rows(np.flatnonzero(rows))
     if problem.leg_block.n_parameters != fit.problem.leg_block.n_parameters:
-        nominal, values = (_by_id(problem.legs), _by_id(fit.problem.legs, start.parameters))
+        nominal, values = _by_id(problem.legs), _by_id(fit.problem.legs, start.parameters)
         parameters = np.array([values.get(id_, value) for id_, value in nominal.items()])
         return State(parameters, start.matrices, external=start.external), None, None
     columns = (part.observation.measured.T for part in (fit.problem, problem))

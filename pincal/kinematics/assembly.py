@@ -27,6 +27,7 @@ _STEPS, _LARGEST = 100, 0.3  # of Newton's method: how many, and how far at once
 _STARTS, _WIDEST = 32, 1.5  # further ones, and how far about what is drawn, [rad] or of the size
 _CLOSED = 1e-10  # gap, of the size, of what is closed
 _SINGULAR = 1e-10  # of singular values, over the size: none
+_ERRORS = 0.01  # singular value over the largest, below which errors of a machine make it
 _CONFIGURATIONS, _ABOUT = 120, 0.3  # how many, and how far about home, [rad] or of the size
 _GRIP = 0.1  # of what passive joints usually move ends by: with less, closings are singular
 _IDLE = 1e-4  # of singular values, over the size: joints that do not move ends so far, do not
@@ -97,6 +98,19 @@ def closed_near(
     ]
     closes: Mask = gaps <= _CLOSED * mechanism.size
     return mechanism.platform.from_matrices(matrices), np.hstack(read), closes
+
+
+def mobility(mechanism: Mechanism) -> int:
+    """Return how many freedoms joints and platform have at home while all legs close.
+
+    Errors of a machine make equations that repeat each other differ, which is no constraint.
+    """
+    home = mechanism.platform.home_pose.as_matrix()
+    joints = np.hstack([leg.home for leg in mechanism.legs])[None]
+    rows = _linearised(nominal_legs(mechanism), home, joints)[1][0]
+    lengths = np.linalg.norm(rows, axis=0)
+    sizes = np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
+    return rows.shape[1] - int((sizes > _ERRORS * sizes[0]).sum())
 
 
 def _parts(closures: Sequence[LegClosure], joints: Array) -> list[Array]:

@@ -16,7 +16,7 @@ import numpy as np
 from pincal.blas import one_thread
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.assembly import closed_near
+from pincal.kinematics.assembly import closed_near, mobility
 from pincal.kinematics.batches import block_diagonal, chunks, least_squares
 from pincal.kinematics.closing import by_leg, close_legs, sensor_law
 from pincal.kinematics.closure import nominal_legs
@@ -31,7 +31,6 @@ from pincal.model.platform import Poses
 from pincal.types import Array, Mask
 
 _CLOSES = 0.01  # of a leg's size, where readings and poses were measured
-_ERRORS = 0.01  # singular value over the largest, below which errors of a machine make it
 _NOWHERE = "no readings lead there"
 _ABOUT = 0.05  # of the mechanism's size, and [rad], by which configurations are moved about
 
@@ -239,23 +238,6 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
     return leg_demands_at(legs, placed, known)
 
 
-def _mobility(mechanism: Mechanism) -> int:
-    """Return how many freedoms joints and platform have at home while all legs close.
-
-    Errors of a machine make equations that repeat each other differ, which is no constraint.
-    """
-    home = mechanism.platform.home_pose.as_matrix()
-    closures = [
-        leg.evaluate(leg.deformed(leg.leg.home[None]), home) for leg in nominal_legs(mechanism)
-    ]
-    by_joints = block_diagonal([closure.by_joints for closure in closures])[0]
-    by_pose = np.concatenate([closure.pose for closure in closures], axis=1)[0]
-    rows = np.column_stack((by_pose, by_joints))
-    lengths = np.linalg.norm(rows, axis=0)
-    sizes = np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
-    return rows.shape[1] - int((sizes > _ERRORS * sizes[0]).sum())
-
-
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:
     """Return poses (N, dof) and readings (N, n_readings) that a mechanism commands, or reasons.
 
@@ -267,7 +249,7 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
         known, home = np.isfinite(plan.readings), reading_range(mechanism)[2]
         readings, influences = np.where(known, plan.readings, home), influences_of(mechanism, plan)
         drives = sum(len(leg.active) for leg in mechanism.legs)
-        if any(leg.deformed for leg in mechanism.legs) or drives == _mobility(mechanism):
+        if any(leg.deformed for leg in mechanism.legs) or drives == mobility(mechanism):
             solution = forward(mechanism, readings, plan.poses, influences)
             poses, readings, reasons = solution.poses, plan.readings, np.array(solution.reasons)
         else:

@@ -114,9 +114,12 @@ def _camera_steps(fits: Fits) -> Iterator[tuple[float, float, bool, str, int, Ar
     """
     fit, linear = fits.fits[0], fits.fits[0].last
     cameras = [camera for camera in _cameras(fits.calibration) if not camera.known]
+    if not cameras:
+        return
+    residuals, jacobian = Residuals.of(fit), linear.jacobian[fit.good]
     for camera in cameras:
         columns = [fit.unknowns.labels.index(number.id) for number in camera.parameters[:6]]
-        residuals, J = Residuals.of(fit), linear.jacobian[fit.good][:, :, columns]
+        J = jacobian[:, :, columns]
         scaled = np.linalg.pinv(np.linalg.qr(J.reshape(-1, 6), mode="r"))  # all six alike
         row, after, step = residuals.step(J @ scaled)
         alike = residuals.alike_after(after, J @ scaled) != 0.0
