@@ -28,7 +28,6 @@ from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.observability.identifiable import identifiability
 from pincal.estimation.observability.residuals import leg_residuals, redundancy
-from pincal.estimation.relations import touches
 from pincal.estimation.unknowns import State
 from pincal.instruments.camera import Camera
 from pincal.kinematics.batches import over_rows
@@ -344,7 +343,7 @@ def _platform_residuals(fit: Fit, shares: Array) -> list[ResidualGroup]:
     groups, columns_of = list[ResidualGroup](), enumerate(observation.names)
     measured = {name: (i, observation.measured[:, i]) for i, name in columns_of}
     between = observation.setup.between
-    for point, columns, rows in touches(observation):  # point by point, in place of all together
+    for point, columns, rows in observation.touches():  # point by point, in place of all together
         for column in columns.tolist():
             measured.pop(observation.names[column], None)
             axis = observation.names[column].rpartition("_")[2]

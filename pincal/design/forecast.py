@@ -32,8 +32,6 @@ from pincal.estimation.observability.identifiable import (
     weak_pairs,
 )
 from pincal.estimation.observation import Observation
-from pincal.estimation.relations import at_touch
-from pincal.estimation.relations import touching as led_to_touch
 from pincal.estimation.rows import white_rows
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
@@ -68,7 +66,7 @@ def touching(mechanism: Mechanism, plan: Plan, setup: Setup, errors: Array | flo
     readings = np.zeros((len(plan), len(mechanism.reading_names)))
     data = Measurements(poses=plan.poses, readings=readings, contacts=plan.contacts)
     observation = Observation(mechanism, data, Setup(targets=setup.targets, contacts=contacts))
-    return led_to_touch(observation, mechanism, plan, observation.external.start, errors)
+    return observation.touching(mechanism, plan, observation.external.start, errors)
 
 
 def _measured_names(
@@ -123,7 +121,7 @@ def information_rows(
     readings = np.zeros((count, legs.reading.shape[2]))
     data = Measurements(poses=coordinates, readings=readings, extra=columns, contacts=legs.contacts)
     observation = Observation(mechanism, data, setup)
-    start = at_touch(observation, matrices, observation.external.start)
+    start = observation.at_touch(matrices, observation.external.start)
     observation = observation.visible(matrices, start)
     chosen = [observation.names.index(name) for name in names]
     value, *slopes = observation.residuals(matrices, start)

@@ -19,7 +19,6 @@ from pincal.design.forecast import touching
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.estimation.observation import Observation
-from pincal.estimation.relations import at_touch
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
@@ -167,7 +166,7 @@ def _observed(truth: Mechanism, plan: Plan, setup: Setup) -> dict[str, Array]:
     zeros = dict.fromkeys(columns, np.zeros(len(plan)))
     data = Measurements(poses=plan.poses, readings=readings, extra=zeros, contacts=plan.contacts)
     observation, matrices = Observation(truth, data, setup), truth.platform.matrices(plan.poses)
-    external = at_touch(observation, matrices, observation.external.start)
+    external = observation.at_touch(matrices, observation.external.start)
     observation = observation.visible(matrices, external)
     values = observation.residuals(matrices, external)[0]
     values = np.where(observation.measured, values, np.nan).T

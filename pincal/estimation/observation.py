@@ -1,31 +1,42 @@
 """Measurements of the platform, predicted from its pose, with derivatives.
 
 Measured are positions of targets u = T_frame_base (r + R t), single coordinates of them,
-orientations, the distance by which u misses a touched feature (``relations``), and what further
-instruments read. Residuals are predicted minus measured. Derivatives are by the platform's twist in
-the frame of the measurements; those by the twist in base axes and by the frame follow from them.
+orientations, relations, and what further instruments read. Residuals are predicted minus measured.
+Derivatives are by the platform's twist in the frame of the measurements; those by the twist in base
+axes and by the frame follow from them.
+
+A relation (``pincal.model.relations``) is a distance by which u misses a feature that it touches,
+or a distance from row to row, measured from one row's target to the point where the other row's
+target was. It holds at the rows whose column names one of its features.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
+from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.estimation.noise import RowNoise, row_noise
-from pincal.estimation.relations import Predicted, meetings, met
 from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, State
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
-from pincal.model.measurements import Measurements, Noise
+from pincal.kinematics.configurations import shifted
+from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import in_part
-from pincal.model.relations import ORIGIN, Instrument, evaluated
+from pincal.model.platform import Platform, in_part
+from pincal.model.relations import ORIGIN, ROW, Instrument, Relation, evaluated, missed
 from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
 
+Predicted: TypeAlias = tuple[Array, Array, Array]
+"""Rows, shape (N, k), derivatives by the platform's twist in the frame of the measurements, (N, k,
+6), and by external values except that frame, (N, k, n)."""
 _TWIST = (0, 1, 2, 3, 4, 5)
+_STEPS = 20  # largest number of steps of the features to least squares
+_STILL = 1e-13  # relative change of their coordinates that is negligible
 
 
 class Observation:
@@ -46,7 +57,7 @@ class Observation:
         none, lengths = np.full(len(data), np.nan), platform.lengths
         scalars = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
         scalars |= {name: data.extra.get(name, none) for name in setup.columns(mechanism)}
-        lengths_read, self.meets = meetings(platform, data, setup)
+        lengths_read, self.meets = _meetings(platform, data, setup)
         """Index of the feature that each row touches, -1 for none, shape (N, n_relations)."""
         scalars |= lengths_read
         units = {name: u for device in setup.instruments for name, u in device.columns.items()}
@@ -251,6 +262,63 @@ class Observation:
             points[target] = (poses[:, :3, 3] + arm, point_velocity(arm, _TWIST), by_external)
         return points
 
+    def touches(self) -> Iterator[tuple[str, Index, Mask]]:
+        """Yield each touched feature's name, its columns of residuals, and rows that touch it."""
+        axes = self.setup.contact_axes(self.platform)
+        meets = self.meets[:, len(self.setup.distances) :]
+        for place, (name, (contact, _, _)) in enumerate(self.setup.touched.items()):
+            columns = np.flatnonzero(np.isin(self.names, axes[contact]))
+            yield name, columns, np.asarray((meets == place).any(axis=1))
+
+    def at_touch(self, matrices: Array, external: External) -> External:
+        """Return the values with unknown features fitted by least squares to poses (N, 4, 4)."""
+        outside, contacts = self.external, self.setup.touched
+        unknown = np.isinf(outside.sigmas)
+        every = np.arange(outside.features.start, outside.features.stop)
+        if not unknown.any():
+            return external
+        points = self.targets(external.frame @ matrices, external)
+        features = external.features.copy()
+        met_by = [*self.touches()]
+        for place, (name, _, rows) in enumerate(met_by):
+            contact = contacts[name][2]
+            if contact.shape in ("circle", "sphere") and unknown[place, 0] and rows.any():
+                w = points[contact.target][0][rows] @ contact.axes
+                features[place] = _circle(w, 2 if contact.shape == "circle" else 3, features[place])
+        for _ in range(_STEPS):
+            external = replace(external, features=features)
+            value, _, by_features = self.residuals(matrices, external, every)
+            step = np.zeros_like(features)
+            for place, (_, columns, rows) in enumerate(met_by):
+                if rows.any() and (free := np.flatnonzero(unknown[place])).size:
+                    J = by_features[np.ix_(rows, columns, 6 * place + free)].reshape(-1, len(free))
+                    step[place, free] = -np.linalg.lstsq(J, value[np.ix_(rows, columns)].ravel())[0]
+            features = features + step
+            straight = all(contact.shape == "point" for _, _, contact in contacts.values())
+            if straight or np.abs(step).max() <= _STILL * np.abs(features).max():
+                break
+        return replace(external, features=features)
+
+    def touching(
+        self, mechanism: Mechanism, plan: Plan, external: External, errors: Array | float = 0.0
+    ) -> Plan:
+        """Return a plan with platforms shifted until they touch their features.
+
+        They touch them up to errors, (N, 3), [m]; unknown features are fitted by least squares.
+        """
+        axes = self.setup.contact_axes(self.platform).values()
+        columns = np.isin(self.names, [name for names in axes for name in names])
+        linear = [row for row in self.platform.twist_rows if row < 3]
+
+        def shifts(matrices: Array) -> Array:
+            nearest = self.at_touch(matrices, external)
+            value, by_pose, _ = self.residuals(matrices, nearest)
+            along, shift = by_pose[:, columns, : len(linear)], np.zeros((len(matrices), 3))
+            shift[:, linear] = -np.einsum("nkd,nk->nd", along, value[:, columns])
+            return np.asarray(shift + np.broadcast_to(errors, shift.shape) @ external.frame[:3, :3])
+
+        return shifted(mechanism, plan, shifts)
+
     def _position_rows(self, poses: Array, external: External) -> list[Predicted]:
         """Return rows of coordinates of targets, and of the features that they touch."""
         points, rows = self.targets(poses, external), []
@@ -259,7 +327,7 @@ class Observation:
             rows.append((u[:, :axes], D[:, :axes], E[:, :axes]))
         relations = self.setup.relations(self.platform.space)
         for relation, places in zip(relations, self.meets.T, strict=True):
-            rows.append(met(relation, places, points[relation.target], external, self.external))
+            rows.append(_met(relation, places, points[relation.target], external, self.external))
         return rows
 
     def _orientation_rows(self, R: Array, external: External) -> Predicted:
@@ -289,3 +357,65 @@ class Observation:
 def _oriented(orientations: Array) -> Mask:
     """Return which orientations were measured, shape (N,)."""
     return np.asarray(np.isfinite(orientations).all(axis=(1, 2)))
+
+
+def _meetings(
+    platform: Platform, data: Measurements, setup: Setup
+) -> tuple[dict[str, Array], Index]:
+    """Return the readings of each quantity, (N,), and indices of features, (N, n_relations).
+
+    A contact reads zero. A row without a feature reads NaN and has index -1.
+
+    Raises:
+        MeasurementError: a column names a feature that the setup does not have.
+    """
+    ids = {name: place for place, name in enumerate(setup.features)}
+    columns, meets = dict[str, Array](), list[list[int]]()
+    for relation in setup.relations(platform.space):
+        owner = relation.owner
+        names, known = (owner,) * len(data), {owner: ids.get(owner, -1)}
+        if relation.column:
+            names = data.contacts[relation.column]
+            known = {name: ids[f"{owner}_{name}"] for name in setup.contacts[owner].points}
+        if owner != ROW and (strange := {*names} - {"", *known}):
+            raise MeasurementError(
+                f"{data.place(names.index(min(strange)))}: {relation.column} {min(strange)!r} is "
+                f"no point of the setup, which has {', '.join(known)}; add it there as 'unknown', "
+                "or correct the name"
+            )
+        meets.append([known.get(name, -1) for name in names])
+        somewhere = np.array(meets[-1], dtype=np.intp) >= 0
+        for name in relation.quantities:
+            values = data.extra[name] if name in relation.read else np.zeros(len(data))
+            columns[name] = np.where(somewhere, values, np.nan)
+    return columns, np.reshape(meets, (len(meets), len(data))).T.astype(np.intp)
+
+
+def _met(
+    relation: Relation,
+    places: Index,
+    target: Predicted,
+    external: External,
+    outside: ExternalUnknowns,
+) -> Predicted:
+    """Return the rows of a relation from those of its target and the indices of features (N,)."""
+    point, by_twist, by_external = target
+    places = np.maximum(places, 0)  # rows without a feature do not count
+    value, by_point, by_feature = missed(
+        relation, point, external.features[places], outside.axes[places]
+    )
+    by_external = by_point @ by_external
+    columns = outside.features.start + 6 * places[:, None] + np.arange(6)
+    by_external[np.arange(len(places))[:, None], :, columns] = by_feature.transpose(0, 2, 1)
+    return value, by_point @ by_twist, by_external
+
+
+def _circle(w: Array, dimensions: int, feature: Array) -> Array:
+    """Return a circle or sphere through points (N, 3) in the feature's axes (I. Kåsa 1976)."""
+    flat = w[:, :dimensions]
+    A = np.column_stack((2.0 * flat, np.ones(len(flat))))
+    *centre, constant = np.linalg.lstsq(A, (flat**2).sum(axis=1))[0]
+    place = w.mean(axis=0)
+    place[:dimensions] = centre
+    radius = np.sqrt(max(constant + np.sum(np.square(centre)), 0.0))
+    return np.array([*place, 0.0, 0.0, feature[5] or radius])

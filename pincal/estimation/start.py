@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MeasurementError, MisfitError
 from pincal.estimation.noise import target_positions
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.relations import at_touch, touches
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.batches import lengths, turn_of_points
 from pincal.kinematics.closing import home_mode, mode_sign
@@ -103,7 +102,7 @@ def _outside_started(problem: Problem, state: State) -> State:
     at_rest, dependent_rows = poses_at_rest(without.evaluate(state)), observation.only(columns)
     matrices = at_rest.state.matrices
     external = outside.begun(external, matrices, observation.conditions)
-    external = at_touch(dependent_rows, matrices, external)
+    external = dependent_rows.at_touch(matrices, external)
     by_others = independent.residuals(matrices, external)[2]
     _, by_pose, by_these = dependent_rows.residuals(matrices, external)
     theirs = by_these.any(axis=(0, 1)) & ~by_others.any(axis=(0, 1)) & (outside.free >= 6)
@@ -263,7 +262,7 @@ def aligned(
     observation, platform = problem.observation, problem.platform
     targets = observation.setup.targets
     measured = np.stack([target_positions(platform, data, name) for name in targets])
-    for name, _, rows in touches(observation):  # a known point is a position
+    for name, _, rows in observation.touches():  # a known point is a position
         _, point, contact = observation.setup.touched[name]
         if contact.points[point] is not None and contact.shape == "point":
             measured[list(targets).index(contact.target), rows] = contact.points[point]

@@ -35,7 +35,6 @@ from pincal.calibration.hypotheses.photos import photo_faults
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.identifiable import DIFFER
 from pincal.estimation.observation import Observation
-from pincal.estimation.relations import at_touch, touches
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.kinematics.closing import sensor_law
@@ -331,7 +330,7 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
 
 def check_contacts(observation: Observation, data: Measurements) -> None:
     """Raise if a touched point has as many unknowns as its rows have equations."""
-    for place, (name, columns, rows) in enumerate(touches(observation)):
+    for place, (name, columns, rows) in enumerate(observation.touches()):
         column, point, _ = observation.setup.touched[name]
         unknown, count = int(np.isinf(observation.external.sigmas[place]).sum()), int(rows.sum())
         if column != ROW and unknown and count * len(columns) <= unknown:
@@ -356,7 +355,7 @@ def check_distances(calibration: Calibration) -> None:
         return
     solution = forward(calibration.mechanism, data.readings)
     matrices = calibration.mechanism.platform.matrices(solution.poses)
-    nearest = at_touch(observation, matrices, observation.external.start)
+    nearest = observation.at_touch(matrices, observation.external.start)
     missed = observation.residuals(matrices, nearest)[0]
     for column in observation.setup.between:
         kind, place = column.partition("_")[0], observation.names.index(column)

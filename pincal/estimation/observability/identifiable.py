@@ -18,7 +18,6 @@ from scipy.linalg import qr, svd
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.relations import at_touch, touching
 from pincal.estimation.rows import white_rows
 from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
@@ -173,11 +172,11 @@ def jacobian_near(
     observation = problem.observation.anywhere() if generic else problem.observation
     every = chosen[np.arange(len(plan)) % len(chosen)]
     if contacts:  # frames and scale do not show where they touch exactly
-        plan = touching(observation.at(every), started, plan, start.external)
+        plan = observation.at(every).touching(started, plan, start.external)
     legs = legs_at(started, plan)
     rows = every[legs.reached]
     matrices, observation = mechanism.platform.matrices(legs.poses), observation.at(rows)
-    nearest = at_touch(observation, matrices, start.external)
+    nearest = observation.at_touch(matrices, start.external)
     _, seen_pose, by_external = observation.residuals(matrices, nearest)
     per = np.array([1.0 / size if unit == "m" else 1.0 for unit in observation.units])[:, None]
     # ┌ A          0        ┐  legs            ┌ B ┐
