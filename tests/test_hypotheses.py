@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.calibration.hypotheses import plausibility
-from pincal.calibration.hypotheses.judging import Case, judge
+from pincal.calibration.hypotheses.judging import Case
 from pincal.calibration.hypotheses.plausibility import check_copies, check_noise
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
@@ -562,6 +562,6 @@ def test_readings_at_their_cut_are_sound() -> None:
     )
     near = replace(mechanism, legs=(replace(leg, joints=joints), *mechanism.legs[1:]))
     case = Case.of(near, replace(data, readings=turned), False, pincal.Target())
-    assert plausibility._turns(case, *judge(case)) == ()
+    assert plausibility._turns(case) == ()
     case = Case.of(mechanism, replace(data, readings=turned), False, pincal.Target())
-    assert [one.code for one in plausibility._turns(case, *judge(case))] == ["whole-turns"]
+    assert [one.code for one in plausibility._turns(case)] == ["whole-turns"]

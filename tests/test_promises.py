@@ -23,6 +23,27 @@ Array = NDArray[np.float64]
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)
 
 
+def test_what_is_promised_does_not_depend_on_which_row_comes_first() -> None:
+    """A second target that is not seen in the first rows counts as much as one in the last rows."""
+    mechanism, offset = pincal.load_mechanism("6UPS"), np.array((0.2, 0.0, 0.1))
+    targets = {"platform": pincal.Target(), "ball": pincal.Target(tuple(offset))}
+    setup = pincal.Setup(unknown_frame=True, targets=targets)
+    plan = pincal.Plan(pincal.sample_workspace("6UPS", 24, seed=0))
+    truth = pincal.disturb(mechanism, 1e-3, seed=1)
+    data = pincal.simulate(mechanism, truth, plan, NOISE, seed=1).measurements
+    T = mechanism.platform.matrices(data.poses)
+    ball = T[:, :3, 3] + T[:, :3, :3] @ offset
+    ball[:3] = np.nan
+    seen = {f"ball_{axis}": column for axis, column in zip("xyz", ball.T, strict=True)}
+    data = replace(data, poses=np.where(np.arange(6) < 3, data.poses, np.nan), extra=seen)
+    rows = (data, data.rows(np.roll(np.arange(24), -3)))
+    limits = [
+        pincal.calibrate(mechanism, part, noise=NOISE, setup=setup).expected_error(plan).limit[0]
+        for part in rows
+    ]
+    assert limits[0] == pytest.approx(limits[1], rel=1e-6)
+
+
 def waves(one: Machine) -> Array:
     """Return an eccentric disc's error of the readings."""
     psi = one.readings(one.parameters, np.zeros((len(one.positions), one.dof)))

@@ -17,12 +17,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
 from pincal.calibration.promise import by_target, exceeded, excess_of
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_parts import (
-    CONTROLLED,
-    HELD,
-    IdentifiedParameter,
-    ResidualGroup,
-)
+from pincal.calibration.result_parts import CONTROLLED, HELD, IdentifiedParameter, ResidualGroup
 from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.gauge import Gauge

@@ -20,12 +20,7 @@ from scipy.special import ndtri
 from pincal.blas import one_thread
 from pincal.calibration.assemble import assemble, with_unsure_tolerances
 from pincal.calibration.calibration import Calibration, with_followed_influences
-from pincal.calibration.findings import (
-    MANY_ROWS,
-    findings_of,
-    points_left_out,
-    values_of,
-)
+from pincal.calibration.findings import MANY_ROWS, findings_of, points_left_out, values_of
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance
 from pincal.calibration.hypotheses.faults import with_zeros
 from pincal.calibration.hypotheses.photos import (

@@ -171,38 +171,25 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
     the platform apart from motions of frames that the gauge has fixed, if any.
     """
     observation, values = result.calibration.observation, result.outside
-    platform, outside = result.nominal.platform, observation.external
+    platform = result.nominal.platform
     columns = zip(observation.names, observation.measured.T, strict=True)
     known = {name for name, rows in columns if rows.any()}
     positions = observation.setup.positions(platform).values()
-    names = [name for axes in positions if known.issuperset(axes) for name in axes]
-    if values is None or not names or observation.setup.instruments:
+    points = [name for axes in positions if known.issuperset(axes) for name in axes]
+    if values is None or not points or observation.setup.instruments:
         return result.frames_moved
-    places = [observation.names.index(name) for name in names]
     turns = platform.freedoms[platform.lengths :]
-    rotations = [row - 3 for row in platform.twist_rows if row >= 3 and known.issuperset(turns)]
-    units = ("m",) * len(names) + ("rad",) * len(rotations)
-    n_targets = len(names) / platform.space
+    names = [*points, *(turns if known.issuperset(turns) else ())]
+    places = [observation.names.index(name) for name in names]
+    units = tuple(observation.units[place] for place in places)
+    n_targets = len(points) / platform.space
+    sizes = np.array([n_targets**0.5 if unit == "m" else 1.0 for unit in units])[:, None]
 
     def seen(poses: Array, twists: Array) -> tuple[Array, Array, tuple[str, ...]]:
         """Return the visible part of twists at poses: see ``Seen``."""
-        count, n = len(poses), len(names)
-        moved = np.zeros((count, len(units), twists.shape[2]))
-        motions = np.zeros((count, len(units), len(outside)))
-        matrices, F = platform.matrices(poses), values.frame[:3, :3]
-        rows = observation.at(np.zeros(count, dtype=np.intp)).anywhere().only(names)
-        _, by_pose, by_outside = rows.residuals(matrices, values)
-        moved[:, :n] = by_pose[:, places] @ twists / np.sqrt(n_targets)
-        motions[:, :n] = by_outside[:, places] / np.sqrt(n_targets)
-        if rotations:
-            turned = np.zeros((count, 3, twists.shape[2]))
-            turned[:, rotations] = twists[:, platform.lengths :]
-            moved[:, n:] = (F @ turned)[:, rotations]
-            by_values = np.zeros((count, 3, outside.own.stop))
-            by_values[:, :, 3:6] = np.eye(3)  # derivatives by turns of the frame
-            by_values[:, :, outside.turn] = F @ matrices[:, :3, :3]
-            motions[:, n:] = by_values[:, rotations][:, :, outside.free]
-        return moved, motions, units
+        at_poses = observation.anywhere().at(np.zeros(len(poses), dtype=np.intp))
+        _, by_pose, by_outside = at_poses.residuals(platform.matrices(poses), values)
+        return by_pose[:, places] @ twists / sizes, by_outside[:, places] / sizes, units
 
     return seen
 

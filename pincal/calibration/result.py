@@ -14,11 +14,7 @@ from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import FOLDS, By, Options
 from pincal.calibration.promise import excess_of, expected_error
-from pincal.calibration.result_parts import (
-    IdentifiedParameter,
-    ResidualGroup,
-    Validation,
-)
+from pincal.calibration.result_parts import IdentifiedParameter, ResidualGroup, Validation
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.fit import Outlier
 from pincal.estimation.observability.identifiable import WeakPair, weak_pairs

@@ -34,6 +34,7 @@ from pincal.estimation.robust import as_one
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, suspected
+from pincal.estimation.unknowns import State
 from pincal.kinematics.forward import forward
 from pincal.model.relations import ROW, TO
 from pincal.types import Array, Index, Mask
@@ -211,14 +212,13 @@ def predictions(fits_of_all: Fits, held: Calibration) -> Predicted:
     """Return fits, rows held out of them, and residuals and derivatives at these rows."""
     if fits_of_all.latent:
         (fit,) = fits_of_all.fits
-        problem, external = held.latent_problem, fit.last.state.external
-        state = placed(problem, held.measurements, fit.parameters, external)
+        problem, external, near = held.latent_problem, fit.last.state.external, None
         if problem.observation.setup.between:  # poses are not measured, and may be anywhere
             readings, machine = held.measurements.readings, held.identified(fit.parameters)
             solution = forward(machine, readings, influences=held.influences)
-            matrices = problem.platform.matrices(solution.poses)
-            reached = solution.converged[:, None, None]
-            state = replace(state, matrices=np.where(reached, matrices, state.matrices))
+            near = np.where(solution.converged[:, None], solution.poses, machine.platform.home)
+        matrices = placed(problem.observation, held.measurements, external, near)
+        state = State(fit.parameters, matrices, external=external)
         linear, _ = solve_poses(poses_at_rest(problem.evaluate(state)))
         return [(fit, np.arange(len(held.measurements)), linear)]
     parts: Predicted = []
@@ -252,9 +252,9 @@ def _drawn_errors(fits: Fits, held: Calibration, linear: Linear, unit: float, se
     parameters and frames move it through the legs' rows, and the targets with it.
     """
     if not fits.latent:  # at a row for one leg all legs place the platform
-        problem = held.every_leg()
-        start = placed(problem, held.measurements, fits.parameters, fits.external)
-        linear = problem.evaluate(start)
+        problem, external = held.every_leg(), fits.external
+        matrices = placed(problem.observation, held.measurements, external)
+        linear = problem.evaluate(State(fits.parameters, matrices, external=external))
     A, B, S, state = linear.by_parameter, linear.by_pose, linear.noise_root, linear.state
     n, observation = linear.problem.leg_block.n_rows, linear.problem.observation
     random, unknown = np.random.default_rng(seed), np.zeros((A.shape[2], _DRAWN))

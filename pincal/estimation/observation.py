@@ -117,17 +117,16 @@ class Observation:
     def anywhere(self) -> Observation:
         """Return the observation with every quantity measured in all rows if it is in some.
 
-        Contacts and distances between rows are left as they are, since a feature that a row does
-        not touch may be anywhere.
+        Orientations are as predicted at any pose. Contacts and distances between rows are left as
+        they are, since a feature that a row does not touch may be anywhere.
         """
-        oriented = _oriented(self.orientations)[:, None, None]
         somewhere: Mask = np.asarray(self.measured.any(axis=0))
         somewhere[np.isin(self.names, self.setup.between)] = False
         for columns in self.setup.contact_axes(self.platform).values():
             somewhere[np.isin(self.names, columns)] = False
         return self._changed(
             measured=self.measured | somewhere,
-            orientations=np.where(oriented, self.orientations, np.eye(3)),
+            orientations=np.full_like(self.orientations, np.nan),
         )
 
     def visible(self, matrices: Array, external: External) -> Observation:
@@ -332,7 +331,8 @@ class Observation:
 
     def _orientation_rows(self, R: Array, external: External) -> Predicted:
         """Return rows of orientations, predicted minus measured, as rotation vectors."""
-        error, oriented = np.zeros((len(R), 3)), _oriented(self.orientations)
+        error = np.zeros((len(R), 3))
+        oriented = np.isfinite(self.orientations).all(axis=(1, 2))
         if self._turn_rows:
             predicted = R[oriented] @ external.turn
             error[oriented] = turn_between(predicted, self.orientations[oriented])
@@ -352,11 +352,6 @@ class Observation:
             by_external[:, :, self.external.own.start + places] = by_own
             rows.append((value, by_pose, by_external))
         return rows
-
-
-def _oriented(orientations: Array) -> Mask:
-    """Return which orientations were measured, shape (N,)."""
-    return np.asarray(np.isfinite(orientations).all(axis=(1, 2)))
 
 
 def _meetings(

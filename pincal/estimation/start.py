@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError, MisfitError
 from pincal.estimation.noise import target_positions
+from pincal.estimation.observation import Observation
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.batches import lengths, turn_of_points
@@ -58,7 +59,7 @@ def align_start(
     external, outside = observation.external.start, observation.external
     complete = np.isfinite(data.poses).all() and len(observation.setup.targets) == 1
     if not len(outside) and (complete or mechanism.redundant):
-        state = placed(problem, data, parameters, external)
+        state = State(parameters, placed(observation, data, external), external=external)
         return state if complete else poses_at_rest(problem.evaluate(state)).state
     legs = [LegClosure(leg, platform) for leg in mechanism.legs]
     arm_matrices = placed_by_arm(legs, problem.leg_block.known)
@@ -74,11 +75,11 @@ def align_start(
     if len(outside):
         values, agrees = aligned(problem, data, state, good)
         state = replace(state, external=values)
-    guess = placed(problem, data, parameters, state.external)
-    matrices = np.where(good[:, None, None], state.matrices, guess.matrices)
+    guess = placed(observation, data, state.external)
+    matrices = np.where(good[:, None, None], state.matrices, guess)
     known = agrees & np.isfinite(data.poses[:, : platform.lengths]).all(axis=1)
-    arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
-    matrices[known, :3, 3] = (guess.matrices[:, :3, 3] - arms)[known]
+    arms = (matrices - guess)[:, :3, :3] @ state.external.offsets[0]
+    matrices[known, :3, 3] = (guess[:, :3, 3] - arms)[known]
     state = replace(state, matrices=matrices, joints=())
     return poses_at_rest(problem.evaluate(_outside_started(problem, state))).state
 
@@ -154,15 +155,17 @@ def _closes_as_home(mechanism: Mechanism, problem: Problem, state: State) -> Mas
     return good & (missed <= max(_CLOSES, usual))
 
 
-def placed(problem: Problem, data: Measurements, parameters: Array, external: External) -> State:
-    """Return poses as measured; coordinates that were not measured are those of home.
+def placed(
+    observation: Observation, data: Measurements, external: External, near: Array | None = None
+) -> Array:
+    """Return poses as measured, in the base frame, shape (N, 4, 4).
 
-    An orientation is taken as a whole. ``parameters`` are of all legs, shape (n_params,).
+    Coordinates that were not measured are those of ``near``, shape (N, dof), or home. An
+    orientation is taken as a whole.
     """
-    platform = problem.platform
-    partly = np.where(np.isfinite(data.poses), data.poses, platform.home)
+    platform, turns = observation.platform, observation.orientations
+    partly = np.where(np.isfinite(data.poses), data.poses, platform.home if near is None else near)
     matrices = platform.matrices(partly).copy()
-    turns = problem.observation.orientations
     known = np.isfinite(turns).all(axis=(1, 2))
     F = external.frame[:3, :3]
     matrices[known, :3, :3] = F.T @ turns[known] @ external.turn.T
@@ -172,7 +175,7 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
         measured[:, 2] = 0.0
     positions = (measured - external.frame[:3, 3]) @ F - matrices[:, :3, :3] @ external.offsets[0]
     matrices[:, :3, 3] = np.where(np.isfinite(positions), positions, matrices[:, :3, 3])
-    return State(parameters, matrices, external=external)
+    return matrices
 
 
 def poses_at_rest(linear: Linear) -> Linear:

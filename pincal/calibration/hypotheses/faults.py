@@ -16,14 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.hypotheses.judging import (
-    QUESTIONED,
-    Case,
-    Hypothesis,
-    case_of,
-    judge,
-    judge_as_measured,
-)
+from pincal.calibration.hypotheses.judging import QUESTIONED, Case, Hypothesis, case_of, judge
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -286,7 +279,7 @@ def with_zeros(calibration: Calibration, faults: Sequence[Finding]) -> Array | N
     offsets = np.zeros(len(names))
     if rough:
         case = case_of(calibration)
-        nominal = judge_as_measured(case).nominal_readings if case and case.alone else None
+        nominal = case.as_measured.nominal_readings if case and case.alone else None
         if case is None or nominal is None:
             return None
         offsets = zeros_by_poses(case, nominal)

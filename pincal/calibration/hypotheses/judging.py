@@ -21,7 +21,7 @@ from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.identifiable import DIFFER, changes_of
 from pincal.estimation.problem import LegBlock, Linear, Problem
-from pincal.estimation.start import aligned
+from pincal.estimation.start import aligned, placed
 from pincal.estimation.system import LOSSES, NormalEquations, System
 from pincal.estimation.unknowns import BlockRows, External, State, unknowns
 from pincal.kinematics.batches import parted
@@ -119,6 +119,12 @@ class Case:
     def readings(self) -> Array:
         """Readings of the rows, shape (N, n_readings), [rad] or [m]; NaN where not measured."""
         return self.calibration.measurements.readings[self.rows]
+
+    @cached_property
+    def as_measured(self) -> Judged:
+        """Fit to the measurements as given, with the share across singularities."""
+        (judged,) = judge(self, [AS_MEASURED])
+        return replace(judged, elsewhere=other_side(self.mechanism, judged.matrices))
 
     def few(self, count: int) -> Case:
         """Return the case with at most ``count`` of its rows, evenly spaced."""
@@ -222,20 +228,13 @@ class Judged:
         return self.placed and not self.questioned and self.elsewhere <= 0.5
 
 
-def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list[Judged]:
+def judge(case: Case, hypotheses: Sequence[Hypothesis]) -> list[Judged]:
     """Return the fit of all legs to the measurements corrected by each hypothesis."""
     calibration, rows = case.calibration, case.rows
     data = [hypothesis.right(calibration.measurements).rows(rows) for hypothesis in hypotheses]
     calibrations = [replace(calibration, measurements=right) for right in data]
-    placed = _placed(case, calibrations)
-    return [_fit(*each) for each in zip(hypotheses, calibrations, placed, strict=True)]
-
-
-@lru_cache(maxsize=4)
-def judge_as_measured(case: Case) -> Judged:
-    """Return the fit to the measurements as given, with the share across singularities."""
-    (judged,) = judge(case)
-    return replace(judged, elsewhere=other_side(case.mechanism, judged.matrices))
+    poses = _placed(case, calibrations)
+    return [_fit(*each) for each in zip(hypotheses, calibrations, poses, strict=True)]
 
 
 def other_side(mechanism: Mechanism, matrices: Array) -> float:
@@ -250,7 +249,8 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
     """Return the poses of several calibrations, (N, 4, 4) each; NaN where forward fails."""
     platform = case.mechanism.platform
     if case.alone or not calibrations:
-        return [_in_base(rows, rows.observation.external.start, None) for rows in calibrations]
+        blocks = [(rows.observation, rows.measurements) for rows in calibrations]
+        return [placed(seen, data, seen.external.start) for seen, data in blocks]
     readings = np.concatenate([calibration.measurements.readings for calibration in calibrations])
     known = np.isfinite(readings).all(axis=1)
     distinct, index = np.unique(readings[known], axis=0, return_inverse=True)
@@ -260,32 +260,19 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
     converged = np.zeros(len(readings), dtype=bool)
     converged[known] = solution.converged[index.ravel()]
     reached[converged] = platform.matrices(solution.poses[index.ravel()][converged[known]])
-    parts, placed = (parted(v, len(calibrations)) for v in (reached, known, converged)), []
+    parts, aligned_poses = (parted(v, len(calibrations)) for v in (reached, known, converged)), []
     for calibration, T, known_rows, good in zip(calibrations, *parts, strict=True):
         data, observation = calibration.measurements, calibration.observation
         problem = Problem(calibration.leg_block([0], np.arange(len(data))), observation)
         start = State(case.mechanism.legs[0].nominal, T, external=observation.external.start)
-        placed.append(np.full_like(T, np.nan))
+        aligned_poses.append(np.full_like(T, np.nan))
         with suppress(MeasurementError):
             if good.any() and 2 * good.sum() >= max(known_rows.sum(), 6):
                 external, _ = aligned(problem, data, start, good)
-                turned = np.isfinite(data.poses).all()
-                T[~good] = np.nan
-                placed[-1] = _in_base(calibration, external, None if turned else T)
-    return placed
-
-
-def _in_base(calibration: Calibration, external: External, reached: Array | None) -> Array:
-    """Return measured poses in the base frame, (N, 4, 4); oriented as ``reached``, if given."""
-    platform, data = calibration.mechanism.platform, calibration.measurements
-    F, position = external.frame[:3, :3], np.zeros((len(data), 3))
-    position[:, : platform.space] = data.poses[:, : platform.space]
-    matrices = np.tile(np.eye(4), (len(data), 1, 1)) if reached is None else reached
-    if reached is None and "rad" in platform.units:
-        matrices[:, :3, :3] = F.T @ calibration.observation.orientations @ external.turn.T
-    arm = matrices[:, :3, :3] @ external.offsets[0]
-    matrices[:, :3, 3] = (position - external.frame[:3, 3]) @ F - arm
-    return platform.matrices(platform.from_matrices(matrices)) if reached is None else matrices
+                matrices = placed(observation, data, external, platform.from_matrices(T))
+                certain = good | np.isfinite(data.poses).all(axis=1)
+                aligned_poses[-1][certain] = matrices[certain]
+    return aligned_poses
 
 
 def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> Judged:

@@ -28,7 +28,6 @@ from pincal.calibration.hypotheses.judging import (
     Judged,
     case_of,
     judge,
-    judge_as_measured,
     other_side,
 )
 from pincal.calibration.hypotheses.photos import photo_faults
@@ -91,43 +90,42 @@ def _faults(case: Case) -> tuple[Finding, ...]:
 @lru_cache(maxsize=4)
 def explanations(case: Case) -> list[Judged]:
     """Return the simplest hypotheses that explain measurements about as well as the best."""
-    as_measured = judge_as_measured(case)
-    if as_measured.fits_well:
+    if case.as_measured.fits_well:
         return []
     slips = _slips(case)  # few rows may be all that is wrong
-    if slips and judge(replace(case, rows=np.setdiff1d(case.rows, slips[0].rows)))[0].fits_well:
+    others = replace(case, rows=np.setdiff1d(case.rows, slips[0].rows)) if slips else None
+    if others and judge(others, [AS_MEASURED])[0].fits_well:
         return []
     for stage in _stages(case):
-        explaining = [judged for judged in stage if _explains(judged, as_measured)]
+        explaining = [judged for judged in stage if _explains(judged, case.as_measured)]
         if explaining:
             best = max(PRECISE, min(map(attrgetter("misfit"), explaining)))
             equal = [judged for judged in explaining if judged.misfit <= EQUAL * best]
             sides = [other_side(case.mechanism, judged.matrices) for judged in equal]
             on_this_side = [j for j, side in zip(equal, sides, strict=True) if side <= 0.5]
-            return on_this_side or ([] if as_measured.elsewhere > 0.5 else equal)
+            return on_this_side or ([] if case.as_measured.elsewhere > 0.5 else equal)
     return []
 
 
 def _stages(case: Case) -> Iterator[list[Judged]]:
     """Yield hypotheses with their fits, the simplest first; a base nearly in place is none."""
-    as_measured = judge_as_measured(case)
     every, framed = list(faults(case)), case.few(_ROWS_FRAMED)
     setup = case.calibration.options.setup.anywhere(frame=True)
     framed = replace(framed, calibration=case.calibration.with_options(setup=setup))
     single = [hypothesis for hypothesis in every if hypothesis.faults == 1]
-    if case.alone and (nominal := as_measured.nominal_readings) is not None:
+    if case.alone and (nominal := case.as_measured.nominal_readings) is not None:
         single += [scale(case, nominal), zeros(zeros_by_poses(case, nominal))]
-    moved = case.alone and not as_measured.within(DIFFER)
-    stage = _judged(case, as_measured, single)
+    moved = case.alone and not case.as_measured.within(DIFFER)
+    stage = _judged(case, single)
     if moved:
         stage += judge(framed, [replace(AS_MEASURED, code="unknown-frame")])
     yield stage
     if not case.alone:
         yield _zeros(case)
-    yield _judged(case, as_measured, (several for several in every if several.faults > 1))
+    yield _judged(case, (several for several in every if several.faults > 1))
     if moved:
         singly = (hypothesis for hypothesis in faults(framed) if hypothesis.faults == 1)
-        yield _judged(framed, as_measured, (replace(second, faults=2) for second in singly))
+        yield _judged(framed, (replace(second, faults=2) for second in singly))
 
 
 def _explains(judged: Judged, as_measured: Judged) -> bool:
@@ -143,7 +141,7 @@ def _explains(judged: Judged, as_measured: Judged) -> bool:
     return judged.within(DIFFER) and judged.misfit <= most
 
 
-def _judged(case: Case, as_measured: Judged, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
+def _judged(case: Case, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
     """Return hypotheses with their fits; those by leg are restricted to the legs they improve."""
     mechanism, every = case.mechanism, range(len(case.mechanism.legs))
     if not case.alone:  # the frame depends on all legs
@@ -155,7 +153,7 @@ def _judged(case: Case, as_measured: Judged, hypotheses: Iterable[Hypothesis]) -
     stage = []
     for judged in judge(case, list(hypotheses)):
         if judged.hypothesis.by_leg:
-            misfits, before = (np.maximum(j.misfits, PRECISE) for j in (judged, as_measured))
+            misfits, before = (np.maximum(j.misfits, PRECISE) for j in (judged, case.as_measured))
             divided = misfits * _EACH <= before
             helped = [i for i in judged.judged if divided[i]]
             if helped and len(helped) < len(every):
@@ -197,7 +195,7 @@ def _zeros(case: Case) -> list[Judged]:
 
 def as_findings(case: Case, explaining: Sequence[Judged]) -> tuple[Finding, ...]:
     """Return the findings of hypotheses that explain measurements."""
-    mechanism, as_measured = case.mechanism, judge_as_measured(case)
+    mechanism, as_measured = case.mechanism, case.as_measured
     names, reading_names = mechanism.leg_names, mechanism.reading_names
     named_legs, findings = as_measured.questioned or list(range(len(names))), []
     for judged in explaining:
@@ -222,7 +220,7 @@ def as_findings(case: Case, explaining: Sequence[Judged]) -> tuple[Finding, ...]
 
 def _strange(case: Case) -> tuple[Finding, ...]:
     """Return the findings that rule out a fit although no hypothesis explains the misfit."""
-    as_measured = judge_as_measured(case)
+    as_measured = case.as_measured
     legs = [(i, case.mechanism.legs[i]) for i in as_measured.judged]
     if not legs:
         return ()
@@ -237,7 +235,7 @@ def _strange(case: Case) -> tuple[Finding, ...]:
     )
     if bent:
         return (finding("other-working-mode", legs=bent),)
-    if turned := _turns(case, as_measured):
+    if turned := _turns(case):
         return turned
     for i, leg in legs:
         stroke = float(as_measured.stroke[i])
@@ -249,7 +247,7 @@ def _strange(case: Case) -> tuple[Finding, ...]:
 
 def _still(case: Case) -> tuple[Finding, ...]:
     """Return the readings that are the same in all rows although the poses move their sensors."""
-    mechanism, readings, as_measured = case.mechanism, case.readings, judge_as_measured(case)
+    mechanism, readings, as_measured = case.mechanism, case.readings, case.as_measured
     still = np.ptp(readings, axis=0) == 0.0
     if as_measured.free or not still.any() or as_measured.nominal_readings is None:
         return ()
@@ -263,10 +261,10 @@ def _still(case: Case) -> tuple[Finding, ...]:
     return (finding("readings-still", readings=tuple(named)),) if named else ()
 
 
-def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
+def _turns(case: Case) -> tuple[Finding, ...]:
     """Return the readings that are off by whole turns, for the first leg that has any."""
-    mechanism = case.mechanism
-    if any(len(leg.active) != 1 for leg in mechanism.legs):
+    mechanism, nominal = case.mechanism, case.as_measured.nominal_readings
+    if nominal is None or any(len(leg.active) != 1 for leg in mechanism.legs):
         return ()
     for i, leg in enumerate(mechanism.legs):
         if leg.reading_units[0] != "rad":
@@ -274,9 +272,9 @@ def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
         measured, law = case.readings[:, i], sensor_law(nominal_legs(mechanism)[i])
         position = law.position(measured[:, None])[:, 0] - leg.home[leg.active[0]]
         far = np.abs(position) > np.pi + _PAST  # beyond the wrap of encoders
-        if not far.any() or as_measured.nominal_readings is None:
+        if not far.any():
             continue
-        expected = as_measured.nominal_readings[:, i]
+        expected = nominal[:, i]
         gain, _ = leg.sensors[0].constants(leg.nominal_by_name)
         turn = 2 * np.pi * (abs(gain) if leg.sensors[0].form == "reading" else 1 / abs(gain))
         off = np.flatnonzero(far & (np.nan_to_num(np.round((measured - expected) / turn)) != 0.0))
@@ -288,7 +286,7 @@ def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
 
 def _slips(case: Case) -> tuple[Finding, ...]:
     """Return few rows, with full poses, that miss machines near nominal far more than others."""
-    as_measured = judge_as_measured(case)
+    as_measured = case.as_measured
     if not case.oriented or not as_measured.judged:
         return ()
     left = np.array([as_measured.left(leg) for leg in as_measured.judged])
