@@ -103,7 +103,7 @@ def test_a_slip_is_named_first() -> None:
 @pytest.mark.parametrize("method", ["per-leg", "all-legs"])
 def test_a_search_that_ran_away_says_so(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where poses tell everything at nominal parameters, they are not said to lack anything."""
-    monkeypatch.setattr("pincal.calibration.calibrate.explain_misfit", lambda *_: ())
+    monkeypatch.setattr("pincal.calibration.hypotheses.plausibility.explain_misfit", lambda *_: ())
     mechanism, data = measured("3RRR", 0.2)
     wrong = replace(data, readings=np.roll(data.readings, 1, axis=0))
     text = said(mechanism, wrong, method=method, rough=True)

@@ -8,6 +8,7 @@ from measured import workspace
 
 import pincal
 from pincal.calibration import fits
+from pincal.estimation.components import Assumptions, Moments
 
 
 @pytest.mark.parametrize("seed", [0, 3, 14])
@@ -20,15 +21,13 @@ def test_noise_is_found_in_a_few_rounds(
     says that they are exact.
     """
     rounds = []
-    last = fits.estimated_noise
+    last = Assumptions.estimate
 
-    def counted(
-        moments: object, noise: pincal.Noise, *more: object, **options: object
-    ) -> pincal.Noise:
-        rounds.append((noise, last(moments, noise, *more, **options)))
+    def counted(assumed: Assumptions, moments: Moments, noise: pincal.Noise) -> pincal.Noise:
+        rounds.append((noise, last(assumed, moments, noise)))
         return rounds[-1][1]
 
-    monkeypatch.setattr(fits, "estimated_noise", counted)
+    monkeypatch.setattr(Assumptions, "estimate", counted)
     nominal = pincal.load_mechanism("3RRR")
     truth = pincal.disturb(nominal, 1e-3, seed=seed)
     noise = pincal.Noise(1e-4, 1e-4, 0.0)

@@ -16,7 +16,7 @@ import pincal
 from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
-from pincal.estimation.components import Moments, assumed_information
+from pincal.estimation.components import Assumptions, Moments
 from pincal.estimation.fit import Fit
 
 DRAWS = 12
@@ -72,11 +72,11 @@ def test_what_is_assumed_counts_where_residuals_say_little() -> None:
     one = fit_at(noise)
     moments = Moments.of([one], noise.reading)
     sizes, units = pincal.Noise(1.0, 2.0, 3.0, pixel=0.0), pincal.Noise(1.0, 1.0, 1.0)
-    before = assumed_information(sizes, units, moments.scale, exact=True)
+    before = Assumptions(units, exact=True).information(sizes, moments.scale)
     little = replace(moments, F=1e-9 * moments.F, q=1e-9 * moments.q).variances(before)
     assert little[0] == pytest.approx(4.0 * little[1], rel=1e-6)
     assert little[2] == pytest.approx(0.0, abs=1e-6)
-    alike = assumed_information(sizes, units, moments.scale, exact=False)
+    alike = Assumptions(units, exact=False).information(sizes, moments.scale)
     little = replace(moments, F=1e-9 * moments.F, q=1e-9 * moments.q).variances(alike)
     assert little[0] == pytest.approx(9.0 * little[2], rel=1e-6)
     own = np.array([1.0, 2.0, 3.0])
@@ -90,7 +90,7 @@ def test_no_variance_is_below_zero() -> None:
     one = fit_at(noise)
     moments = Moments.of([one], noise.reading)
     units = pincal.Noise(1.0, 1.0, 1.0, pixel=0.0)
-    before = assumed_information(units, units, moments.scale, exact=True)
+    before = Assumptions(units, exact=True).information(units, moments.scale)
     for negative in range(3):
         own = np.where(np.arange(3) == negative, -1.0, 1.0)
         great = replace(moments, F=1e9 * moments.F, q=1e9 * moments.F @ own)

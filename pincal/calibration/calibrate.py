@@ -22,22 +22,8 @@ from pincal.calibration.assemble import assemble, with_unsure_tolerances
 from pincal.calibration.calibration import Calibration, with_followed_influences
 from pincal.calibration.findings import MANY_ROWS, findings_of, points_left_out, values_of
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance
+from pincal.calibration.hypotheses import photos, plausibility
 from pincal.calibration.hypotheses.faults import with_zeros
-from pincal.calibration.hypotheses.photos import (
-    boards_behind,
-    check_photos,
-    pitch_faults,
-    without_false_points,
-)
-from pincal.calibration.hypotheses.plausibility import (
-    check_contacts,
-    check_copies,
-    check_distances,
-    check_noise,
-    explain_misfit,
-    hypotheses_of,
-    implausible,
-)
 from pincal.calibration.options import AUTO, By, Options
 from pincal.calibration.result import CONTRADICTING, CalibrationResult
 from pincal.calibration.terms.candidates import extended
@@ -216,17 +202,17 @@ def blame_wrong_rows(
 def started(calibration: Calibration) -> Calibration:
     """Return a calibration with its measurements checked, and with its terms and start."""
     options = calibration.options
-    check_noise(calibration.mechanism, options.noise)
-    check_copies(calibration.measurements, every_pose=options.every_pose)
-    check_contacts(calibration.observation, calibration.measurements)
-    check_distances(calibration)
+    plausibility.check_noise(calibration.mechanism, options.noise)
+    plausibility.check_copies(calibration.measurements, every_pose=options.every_pose)
+    plausibility.check_contacts(calibration.observation, calibration.measurements)
+    plausibility.check_distances(calibration)
     if options.setup.pixels:
-        check_photos(calibration)
+        photos.check_photos(calibration)
     calibration = _with_terms(calibration)
     if options.loss != "none" and options.setup.pixels:
-        calibration = without_false_points(calibration)
+        calibration = photos.without_false_points(calibration)
     if options.setup.plain:
-        faults = () if options.rough else implausible(calibration)
+        faults = () if options.rough else plausibility.implausible(calibration)
         start = with_zeros(calibration, faults) if faults or options.rough else None
         if faults and start is None:
             raise MisfitError(sentences(faults)[0])
@@ -260,7 +246,7 @@ def _with_terms(calibration: Calibration) -> Calibration:
 
 def explained_error(calibration: Calibration, error: Exception) -> Exception:
     """Return the error to raise for a failed fit: the fault that explains it, if there is one."""
-    faults = explain_misfit(calibration)
+    faults = plausibility.explain_misfit(calibration)
     if isinstance(error, ObservabilityError):  # a few strange rows do not cause that
         faults = tuple(fault for fault in faults if fault.severity == "error")
     if faults:
@@ -277,10 +263,10 @@ def explained_error(calibration: Calibration, error: Exception) -> Exception:
 def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding, ...]:
     """Return findings that would explain too large residuals, and faults of boards."""
     if not result.explained:
-        return explain_misfit(result.calibration, frame)
+        return plausibility.explain_misfit(result.calibration, frame)
     if result.options.setup.pixels:
-        mirrored = boards_behind(result.calibration, result.poses, frame)
-        return (*pitch_faults(result.calibration), *mirrored)
+        mirrored = photos.boards_behind(result.calibration, result.poses, frame)
+        return (*photos.pitch_faults(result.calibration), *mirrored)
     return ()
 
 
@@ -325,7 +311,7 @@ def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
         first = _attempt((), in_setup)
         yield [first]
         explained = []
-        for fault, judged in hypotheses_of(in_setup):
+        for fault, judged in plausibility.hypotheses_of(in_setup):
             data = judged.hypothesis.right(calibration.measurements)
             judged_setup = known.anywhere(frame=judged.free)
             mended = replace(in_setup, measurements=data).with_options(setup=judged_setup)
@@ -362,7 +348,8 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     except PincalError as error:
         return Remedy(findings, calibration, None, str(error), isinstance(error, MeasurementError))
     try:
-        check_noise(calibration.mechanism, result.noise)  # an estimate may be implausible
+        # an estimate may be implausible
+        plausibility.check_noise(calibration.mechanism, result.noise)
     except MeasurementError:
         return Remedy(findings, calibration, None, "residuals are too large for noise")
     remedy = Remedy(findings, calibration, result, "")

@@ -16,17 +16,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import ObservabilityError
-from pincal.estimation.components import (
-    Evidence,
-    FoundTolerance,
-    Moments,
-    Tie,
-    assumed_information,
-    estimated_noise,
-    likeliest,
-    tie_of,
-    with_exact_readings,
-)
+from pincal.estimation import components
 from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
@@ -111,9 +101,9 @@ class Fits:
         return self.noise.reading or assumed
 
     @property
-    def moments(self) -> Moments:
+    def moments(self) -> components.Moments:
         """Moments of the residuals for the variances of groups."""
-        return Moments.of(self.fits, self.reading_unit)
+        return components.Moments.of(self.fits, self.reading_unit)
 
     @property
     def places(self) -> list[Index]:
@@ -156,24 +146,27 @@ def fitted(
 def _with_estimated_noise(fits: Fits) -> Fits:
     """Return fits at the noise that their residuals show, with covariances widened for it."""
     calibration, mechanism = fits.calibration, fits.calibration.mechanism
-    assumed, tie = assumed_noise(mechanism, exact=False), None
-    plausible = 0.0 if calibration.lacks else assumed.reading
     exact = bool(np.isfinite(calibration.measurements.poses).all()) and not mechanism.redundant
+    assumed = components.Assumptions(assumed_noise(mechanism, exact=False), exact)
+    plausible = 0.0 if calibration.lacks else assumed.unit.reading
     for _ in range(_REFITS):
         if not fits.sound:
             return fits
-        estimate = _noise_of(fits, assumed, tie, exact=exact)
-        if tie is None and (tie := tie_of(fits.fits[0], estimate, plausible)):
-            estimate = _noise_of(fits, assumed, tie, exact=exact)
+        estimate = _noise_of(fits, assumed)
+        tie = assumed.tie or components.tie_of(fits.fits[0], estimate, plausible)
+        if tie != assumed.tie:
+            assumed = assumed._replace(tie=tie)
+            estimate = _noise_of(fits, assumed)
         if _same_noise(fits.noise, estimate):
             break
-        fits = _refitted(fits, estimate)
-    fits = replace(fits, fits=with_exact_readings(fits.fits, fits.noise, assumed))
+        calibration = fits.calibration.with_noise(estimate)
+        fits = _all_legs(calibration, fits) if fits.latent else _legs_alone(calibration)
+    fits = replace(fits, fits=assumed.with_exact_readings(fits.fits, fits.noise))
     moments = fits.moments
     if not fits.sound or moments.rounding:
         return fits
-    information = assumed_information(fits.noise, assumed, moments.scale, exact=exact, tie=tie)
-    variances: Array = np.asarray(np.linalg.inv(moments.information(information)))
+    information = moments.information(assumed.information(fits.noise, moments.scale))
+    variances: Array = np.asarray(np.linalg.inv(information))
     widened = [
         replace(fit, widening=fit.widening + fit.noise_scale**2 * widening)
         for fit, widening in zip(fits.fits, moments.widenings(variances), strict=True)
@@ -183,10 +176,10 @@ def _with_estimated_noise(fits: Fits) -> Fits:
 
 def with_misfit_as_noise(fits: Fits) -> Fits:
     """Return fits at the noise that residuals show, what the machine lacks being its readings'."""
-    assumed = assumed_noise(fits.calibration.mechanism, exact=False)
-    sizes = zip(vars(fits.noise).values(), vars(assumed).values(), strict=True)
+    unit = assumed_noise(fits.calibration.mechanism, exact=False)
+    sizes = zip(vars(fits.noise).values(), vars(unit).values(), strict=True)
     begin = _at_noise(fits, Noise(*(size or other for size, other in sizes)))
-    return _at_noise(begin, _noise_of(begin, assumed, None, exact=False))
+    return _at_noise(begin, _noise_of(begin, components.Assumptions(unit, exact=False)))
 
 
 def _at_noise(fits: Fits, noise: Noise) -> Fits:
@@ -199,22 +192,16 @@ def _at_noise(fits: Fits, noise: Noise) -> Fits:
     return replace(fits, calibration=calibration, fits=refits)
 
 
-def _refitted(fits: Fits, noise: Noise) -> Fits:
-    """Return fits at other noise, begun where these ended."""
-    calibration = fits.calibration.with_noise(noise)
-    return _all_legs(calibration, fits) if fits.latent else _legs_alone(calibration)
-
-
-def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> Noise:
-    """Return the noise that the residuals of fits show, under the assumptions on its groups.
+def _noise_of(fits: Fits, assumed: components.Assumptions) -> Noise:
+    """Return the noise that the residuals of fits show, under assumptions on its groups.
 
     It is estimated in turn with the fits at that noise.
     """
     for _ in range(ROUNDS):
-        fits = replace(fits, fits=with_exact_readings(fits.fits, fits.noise, assumed))
-        moments, noise, unit = fits.moments, fits.noise, fits.reading_unit
-        estimate = estimated_noise(moments, noise, unit, assumed, exact=exact, tie=tie)
-        if moments.rounding or _same_noise(noise, estimate):
+        fits = replace(fits, fits=assumed.with_exact_readings(fits.fits, fits.noise))
+        moments = fits.moments
+        estimate = assumed.estimate(moments, fits.noise)
+        if moments.rounding or _same_noise(fits.noise, estimate):
             break
         fits = _at_noise(fits, estimate)
     scale = moments.scale**0.5 or 1.0  # differs from 1 because of the assumptions
@@ -403,13 +390,16 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
                 "measure more, or give the noise (--noise-position …) or --tolerance 0.5mm,5mrad"
             ) from error
         calibration = fits.calibration  # with the noise where the next search begins
-        parts = [Evidence.of(fit, groups) for fit in fits.fits]
+        parts = [components.Evidence.of(fit, groups) for fit in fits.fits]
         rise = float(chdtri(1, 1.0 - CONFIDENCE))
-        last, (sizes, ends) = sizes, likeliest(parts, sizes, (ALIKE * farthest, farthest), rise)
+        last, within = sizes, (ALIKE * farthest, farthest)
+        sizes, ends = components.likeliest(parts, sizes, within, rise)
         estimates |= zip(sought, zip(sizes.tolist(), *ends.T.tolist(), strict=True), strict=True)
         if np.abs(np.log(sizes / last)).max() <= SETTLED:
             break
-    tolerances = [FoundTolerance(unit, *estimates[unit], len(ids)) for unit, ids in units.items()]
+    tolerances = [
+        components.FoundTolerance(unit, *estimates[unit], len(ids)) for unit, ids in units.items()
+    ]
     known = dict(zip(sought, sizes.tolist(), strict=True))
     return replace(calibration.with_options(tolerance=known), tolerances=tuple(tolerances))
 

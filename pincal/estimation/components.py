@@ -128,83 +128,67 @@ class Moments:
         return widenings
 
 
-def assumed_information(
-    noise: Noise, unit: Noise, scale: float, *, exact: bool, tie: Tie | None = None
-) -> Array:
-    """Return the prior information on relative variances, shape (g, g).
+class Assumptions(NamedTuple):
+    """What is assumed of the noise where residuals say little."""
 
-    Positions and orientations are assumed to have equal variances, each over its unit; readings to
-    be exact, or to have an equal variance, too, where they cannot be exact, or to be tied.
+    unit: Noise
+    """Assumed standard deviations, the units of the groups."""
+    exact: bool
+    """Whether readings may be exact."""
+    tie: Tie | None = None
+    """The noise to which that of readings is tied: see ``tie_of``."""
 
-    Args:
-        noise: Standard deviations to which variances are relative.
-        unit: Assumed standard deviations, the units of the groups.
-        scale: χ² over degrees of freedom.
-        exact: Whether readings may be exact.
-        tie: The noise to which that of readings is tied, see ``tie_of``.
-    """
-    sizes, ratio = _group_sizes(noise, unit)
-    largest = ratio[: 3 if noise.reading > 0.0 else 2].max() * max(scale, 1e-300)
-    rows = np.zeros((len(sizes) - 1, len(sizes)))
-    rows[0, :2], rows[1, _R], rows[1, 0] = (1.0, -1.0), 1.0, 0.0 if exact else -1.0
-    rows[2:, 0], rows[2:, _R + 1 :] = -1.0, 1.0
-    rows *= ratio / (_BEFOREHAND * largest)
-    if tie is not None:
-        group, factor = tie
-        share = (factor * sizes[group] / sizes[_R]) ** 2
-        axes = np.eye(len(sizes))
-        rows[1] = (axes[_R] - share * axes[group]) * ratio[_R] / (_TIED * largest)
-    return np.asarray(rows.T @ rows)
+    def information(self, noise: Noise, scale: float) -> Array:
+        """Return the prior information on variances relative to a noise, shape (g, g).
 
+        Positions and orientations are assumed to have equal variances, each over its unit; readings
+        to be exact, or to have an equal variance, too, where they cannot be exact, or to be tied.
+        ``scale`` is χ² over degrees of freedom.
+        """
+        sizes, ratio = self._sizes(noise)
+        largest = ratio[: 3 if noise.reading > 0.0 else 2].max() * max(scale, 1e-300)
+        rows = np.zeros((len(sizes) - 1, len(sizes)))
+        rows[0, :2], rows[1, _R], rows[1, 0] = (1.0, -1.0), 1.0, 0.0 if self.exact else -1.0
+        rows[2:, 0], rows[2:, _R + 1 :] = -1.0, 1.0
+        rows *= ratio / (_BEFOREHAND * largest)
+        if self.tie is not None:
+            group, factor = self.tie
+            share = (factor * sizes[group] / sizes[_R]) ** 2
+            axes = np.eye(len(sizes))
+            rows[1] = (axes[_R] - share * axes[group]) * ratio[_R] / (_TIED * largest)
+        return np.asarray(rows.T @ rows)
 
-def _group_sizes(noise: Noise, unit: Noise) -> tuple[Array, Array]:
-    """Return standard deviations of groups, and variances over the squares of their units, (g,).
+    def estimate(self, moments: Moments, noise: Noise) -> Noise:
+        """Return the noise that residuals show, by moments of fits at a noise."""
+        sizes, ratio = self._sizes(noise)
+        least = np.full(len(ratio), moments.scale / _LARGEST_STEP)
+        least[_R] *= noise.reading > 0.0  # else its size is not known yet
+        assumed = self.information(noise, moments.scale)
+        variance = moments.off_zero(exact=self.exact).variances(assumed)
+        variance = np.clip(variance, least, moments.scale * _LARGEST_STEP)
+        floor = _SMALLEST**2 * (ratio * variance).max() / ratio[_R]
+        if variance[_R] <= floor:
+            variance[_R] = 0.0 if self.exact else floor
+        return Noise(*np.append(sizes * np.sqrt(variance), 0.0)[:4].tolist())
 
-    The groups are positions, orientations, readings and, where cameras see, pixels.
-    """
-    count = 4 if noise.pixel else 3
-    sizes = [noise.position, noise.orientation, noise.reading or unit.reading, noise.pixel]
-    units = [unit.position, unit.orientation, unit.reading, unit.pixel]
-    return np.array(sizes[:count]), (np.divide(sizes[:count], units[:count])) ** 2
+    def with_exact_readings(self, fits: Sequence[Fit], noise: Noise) -> list[Fit]:
+        """Return fits that count no degrees of freedom for readings whose noise is at its floor."""
+        _, ratio = self._sizes(noise)
+        if not noise.reading > 0.0 or ratio[_R] > (1.0 + _TIED) * _SMALLEST**2 * ratio.max():
+            return [replace(fit, exact=0) for fit in fits]
+        shown = (float(_moments(fit, noise.reading)[0][_R].sum()) for fit in fits)
+        return [replace(fit, exact=round(dof)) for fit, dof in zip(fits, shown, strict=True)]
 
+    def _sizes(self, noise: Noise) -> tuple[Array, Array]:
+        """Return standard deviations of groups, and variances over their units squared, (g,).
 
-def estimated_noise(
-    moments: Moments, noise: Noise, reading: float, unit: Noise, *, exact: bool, tie: Tie | None
-) -> Noise:
-    """Return the noise that residuals show.
-
-    Args:
-        moments: Moments of fits.
-        noise: The noise at which the fits were made.
-        reading: Standard deviation to which that of readings is relative, [rad] or [m].
-        unit: Assumed standard deviations, the units of the groups.
-        exact: Whether readings may be exact.
-        tie: See ``tie_of``.
-    """
-    assumed = assumed_information(noise, unit, moments.scale, exact=exact, tie=tie)
-    _, ratio = _group_sizes(noise, unit)
-    least = np.full(len(ratio), moments.scale / _LARGEST_STEP)
-    least[_R] *= noise.reading > 0.0  # else its size is not known yet
-    variance = moments.off_zero(exact=exact).variances(assumed)
-    variance = np.clip(variance, least, moments.scale * _LARGEST_STEP)
-    floor = _SMALLEST**2 * (ratio * variance).max() / ratio[_R]
-    if variance[_R] <= floor:
-        variance[_R] = 0.0 if exact else floor
-    factors = np.append(np.sqrt(variance), 0.0)
-    sizes = (noise.position, noise.orientation, reading, noise.pixel)
-    return Noise(*(float(size * factor) for size, factor in zip(sizes, factors, strict=False)))
-
-
-def with_exact_readings(fits: Sequence[Fit], noise: Noise, unit: Noise) -> list[Fit]:
-    """Return fits that count no degrees of freedom for readings whose noise is at its floor.
-
-    ``unit`` is the assumed noise, the units of the groups.
-    """
-    _, ratio = _group_sizes(noise, unit)
-    if not noise.reading > 0.0 or ratio[_R] > (1.0 + _TIED) * _SMALLEST**2 * ratio.max():
-        return [replace(fit, exact=0) for fit in fits]
-    shown = (float(_moments(fit, noise.reading)[0][_R].sum()) for fit in fits)
-    return [replace(fit, exact=round(freedoms)) for fit, freedoms in zip(fits, shown, strict=True)]
+        The groups are positions, orientations, readings and, where cameras see, pixels.
+        """
+        sizes = np.array([noise.position, noise.orientation, noise.reading, noise.pixel])
+        units = np.array([*vars(self.unit).values()])
+        sizes[_R] = sizes[_R] or units[_R]
+        count = 4 if noise.pixel else 3
+        return sizes[:count], (sizes[:count] / units[:count]) ** 2
 
 
 def tie_of(fit: Fit, noise: Noise, plausible: float = 0.0) -> Tie | None:

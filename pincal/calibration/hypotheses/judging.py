@@ -123,7 +123,7 @@ class Case:
     @cached_property
     def as_measured(self) -> Judged:
         """Fit to the measurements as given, with the share across singularities."""
-        (judged,) = judge(self, [AS_MEASURED])
+        (judged,) = judge(self)
         return replace(judged, elsewhere=other_side(self.mechanism, judged.matrices))
 
     def few(self, count: int) -> Case:
@@ -228,7 +228,7 @@ class Judged:
         return self.placed and not self.questioned and self.elsewhere <= 0.5
 
 
-def judge(case: Case, hypotheses: Sequence[Hypothesis]) -> list[Judged]:
+def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list[Judged]:
     """Return the fit of all legs to the measurements corrected by each hypothesis."""
     calibration, rows = case.calibration, case.rows
     data = [hypothesis.right(calibration.measurements).rows(rows) for hypothesis in hypotheses]

@@ -93,8 +93,7 @@ def explanations(case: Case) -> list[Judged]:
     if case.as_measured.fits_well:
         return []
     slips = _slips(case)  # few rows may be all that is wrong
-    others = replace(case, rows=np.setdiff1d(case.rows, slips[0].rows)) if slips else None
-    if others and judge(others, [AS_MEASURED])[0].fits_well:
+    if slips and judge(replace(case, rows=np.setdiff1d(case.rows, slips[0].rows)))[0].fits_well:
         return []
     for stage in _stages(case):
         explaining = [judged for judged in stage if _explains(judged, case.as_measured)]
