@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_913,
+    "calibration": 6_826,
     "cli": 2_798,
-    "design": 2_334,
-    "estimation": 4_755,
+    "design": 2_331,
+    "estimation": 4_667,
     "files": 3_385,
     "formats": 3_506,
     "instruments": 1_578,
@@ -31,7 +31,7 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 177,
+    "files": 176,
     "page lines": 900,
     "largest folder": 15,
     "vague names": 0.01,

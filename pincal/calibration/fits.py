@@ -95,15 +95,10 @@ class Fits:
         return self.calibration.noise.noise
 
     @property
-    def reading_unit(self) -> float:
-        """Standard deviation of readings, [m] or [rad]; an assumed one if they are exact."""
-        assumed = assumed_noise(self.calibration.mechanism, exact=False).reading
-        return self.noise.reading or assumed
-
-    @property
     def moments(self) -> components.Moments:
-        """Moments of the residuals for the variances of groups."""
-        return components.Moments.of(self.fits, self.reading_unit)
+        """Moments of the residuals for the variances of groups, exact readings at assumed noise."""
+        assumed = assumed_noise(self.calibration.mechanism, exact=False).reading
+        return components.Moments.of(self.fits, self.noise.reading or assumed)
 
     @property
     def places(self) -> list[Index]:
@@ -131,11 +126,9 @@ def fitted(
 ) -> Fits:
     """Return the fits of a calibration, the noise estimated by group if it was not given.
 
-    Args:
-        calibration: The calibration.
-        near: Fits of all legs at once near the optimum, from which the search begins.
-        rows: Which rows of ``near`` these are, shape (N,), if it has more rows or fewer terms.
-        patience: Largest number of evaluations of a search of all legs; None for the usual number.
+    A search of all legs at once begins ``near`` fits, if given; if these have more rows or fewer
+    terms, ``rows``, shape (N,), says which rows of theirs these are. It ends after so many
+    evaluations as ``patience`` says, by default the usual number.
     """
     latent = calibration.options.latent
     fits = _all_legs(calibration, near, rows, patience) if latent else _legs_alone(calibration)

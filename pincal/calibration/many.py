@@ -86,12 +86,8 @@ def add_rows(
 ) -> Columns:
     """Return columns with a row of each item; missing rows are made and added to the table.
 
-    Args:
-        make_row: Returns the row of an item; an error that it raises is the row's failure.
-        items: The items, which are the first columns of the table.
-        file: The table, to which rows are added in the order of the items.
-        workers: The workers that make the rows.
-        progress: Called with a text that says what is done.
+    Items are the first columns of the table; an error that ``make_row`` raises for an item is the
+    row's failure. ``progress`` is called with a text that says what is done.
 
     Raises:
         FileError: the table cannot be read or written, or its rows were made differently.

@@ -333,14 +333,12 @@ def likeliest(
 
     Sizes maximise the evidence times each size, so that none is zero (Y. Chung et al.,
     Psychometrika 2013), but lie within their intervals. These are 95 % profile-likelihood
-    intervals: from 0 where a size of zero is likely enough, infinite without an upper end. The
-    deviance of k deviations is 1 + 1 / 3k times χ² (M. S. Bartlett 1937), exactly so without noise.
+    intervals: from 0 where a size of zero is likely enough, infinite without an upper end. To the
+    ends the deviance rises by ``rise`` if it is χ² distributed; that of k deviations is 1 + 1 / 3k
+    times χ² (M. S. Bartlett 1937), exactly so without noise.
 
-    Args:
-        parts: Independent evidence.
-        start: Where the search starts, shape (k,).
-        within: Smallest and largest meaningful sizes, shape (k,) each.
-        rise: Rise of the deviance to the ends of the intervals if it were χ² distributed.
+    ``parts`` are independent. ``start``, (k,), is where the search starts; sizes are ``within`` the
+    smallest and largest meaningful ones, (k,) each.
     """
     from scipy.optimize import brentq, minimize  # slow to load
 

@@ -220,16 +220,11 @@ class Observation:
     def residuals(
         self, matrices: Array, external: External, columns: Index | None = None
     ) -> tuple[Array, Array, Array]:
-        """Return predicted less measured quantities, zero where nothing is measured.
+        """Return predicted less measured quantities at poses, zero where nothing is measured.
 
-        Args:
-            matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-            external: Values of the external unknowns.
-            columns: Indices of external values; by default the unknown ones.
-
-        Returns:
-            Residuals, shape (N, r), [m] and [rad], their derivatives by the platform's twist,
-            (N, r, dof), and by the external values, (N, r, n_external).
+        Poses are ``T_base_platform``, (N, 4, 4). Residuals, (N, r), [m] and [rad], come with their
+        derivatives by the platform's twist, (N, r, dof), and by external values, (N, r, n): those
+        with indices ``columns``, by default the unknown ones.
         """
         columns = self.external.free if columns is None else columns
         poses, frame = external.frame @ matrices, external.frame[:3, :3]

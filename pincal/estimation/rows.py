@@ -133,12 +133,9 @@ def turned_rows(
 ) -> WhiteRows:
     """Return the same as ``white_rows`` for rows some of which have independent noise.
 
-    Args:
-        pose: B of all rows, shape (N, k, dof).
-        noise: S of the other rows, shape (N, i, s).
-        sigma: Standard deviations of the independent rows, above zero, shape (N, j), j ≥ dof.
-        rows: Indices of the other rows, and of the independent ones, shapes (i,) and (j,).
-        columns: Indices of the noise of the other rows, and of the independent ones, (s,), (j,).
+    ``pose`` is B of all rows, (N, k, dof), ``noise`` S of the other rows, (N, i, s), and ``sigma``
+    the standard deviations of the independent ones, above zero, (N, j), j ≥ dof. Indices of rows
+    and of columns of noise are those of the other rows, then of the independent ones.
     """
     h, factors = np.linalg.qr(pose[:, rows[1]] / sigma[:, :, None], mode="raw")
     dof = pose.shape[2]
@@ -169,12 +166,11 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     finite = np.asarray(np.isfinite(columns).all(axis=(1, 2)))
     if not finite.all():
         rows = white_rows(pose[finite], noise[finite])
-        reduced, scale, basis, triangle, root = (
-            np.full((len(finite), *part.shape[1:]), np.nan)
-            for part in (rows.reduced, rows.scale, rows.range, rows.triangle, rows.root)
-        )
-        reduced[finite], scale[finite], root[finite] = rows.reduced, rows.scale, rows.root
-        basis[finite], triangle[finite] = rows.range, rows.triangle
+        parts = (rows.reduced, rows.scale, rows.range, rows.triangle, rows.root)
+        at_all_poses = [np.full((len(finite), *part.shape[1:]), np.nan) for part in parts]
+        for values, part in zip(at_all_poses, parts, strict=True):
+            values[finite] = part
+        reduced, scale, basis, triangle, root = at_all_poses
         return WhiteRows(reduced, scale, basis, triangle, root)
     dof = pose.shape[2]
     Q, R = np.linalg.qr(pose, mode="complete")  # B = Q R, Q square

@@ -105,13 +105,10 @@ class Iterate(NamedTuple):
 def search(
     system: System, start: Linear, *, highest: float = 0.0, enough: float = 0.0
 ) -> SolverResult:
-    """Return the optimum near a start, or the best state on the way to it.
+    """Return the optimum near a start whose poses are solved, or the best state on the way to it.
 
-    Args:
-        system: What is minimised.
-        start: The conditions where the search begins, poses solved.
-        highest: Cost above which no step is accepted; at least the cost at the start.
-        enough: Distance from the optimum, in standard deviations of residuals, at which to stop.
+    No step is accepted above the cost at the start, or ``highest``. The search stops ``enough``
+    standard deviations of residuals from the optimum.
     """
     current, damping, growth = Iterate.of(system, start), 0.0, _GROWTH
     evaluations, highest = 1, max(current.cost, highest)
@@ -164,13 +161,9 @@ def optimum(
 ) -> SolverResult:
     """Return the optimum at adjusted readings, or at measured ones where the former does not exist.
 
-    Args:
-        system: What is minimised.
-        start: The conditions where the search begins, poses solved.
-        highest: As in ``search``, cost above which no step is accepted.
-        evaluations: Evaluations of the conditions so far.
-        near: Whether the start is near the optimum at adjusted readings, of other noise or rows: a
-            search at measured readings would lead away from it.
+    ``start`` and ``highest`` are as in ``search``; ``evaluations`` were made so far. A start may be
+    ``near`` the optimum at adjusted readings, of other noise or rows: a search at measured readings
+    would lead away from it.
     """
     adjusts = system.problem.latent and np.nanmax(system.problem.leg_block.sigma, initial=0.0) > 0.0
     with_adjustment = replace(system, adjusted=True)

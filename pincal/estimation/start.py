@@ -250,17 +250,9 @@ def aligned(
 ) -> tuple[External, Mask]:
     """Return the external unknowns that take the targets to where they were measured.
 
-    Frame and unknown offsets are found in turn by least squares, from the rows that agree with
-    most other rows.
-
-    Args:
-        problem: The problem.
-        data: The measurements.
-        state: The nominal machine at the poses of its readings.
-        reached: Which poses the readings determine, shape (N,).
-
-    Returns:
-        The external unknowns, and which rows agree on them, shape (N,).
+    Also return which rows agree on them, shape (N,). Frame and unknown offsets are found in turn by
+    least squares, from the rows that agree with most other rows. ``state`` is the nominal machine
+    at the poses of its readings, which determine the ``reached`` ones, shape (N,).
     """
     observation, platform = problem.observation, problem.platform
     targets = observation.setup.targets

@@ -107,10 +107,9 @@ def moved_cameras(fits: Fits) -> list[Finding]:
 def _camera_steps(fits: Fits) -> Iterator[tuple[float, float, bool, str, int, Array]]:
     """Yield the clearest step of the pose of each camera at an unknown place.
 
-    Yields:
-        The p-value over all rows and cameras, minus the χ² that the step explains, whether the
-        residuals after it are correlated from row to row, the camera's name, the first row after
-        the step, and the change of all conditions from that row on, shape (n, k).
+    A step is the p-value over all rows and cameras, minus the χ² that it explains, whether the
+    residuals after it are correlated from row to row, the camera's name, the first row after it,
+    and the change of all conditions from that row on, shape (n, k).
     """
     fit, linear = fits.fits[0], fits.fits[0].last
     cameras = [camera for camera in _cameras(fits.calibration) if not camera.known]

@@ -75,18 +75,11 @@ def unexplained(units: Sequence[str], twists: Array, motions: Array, size: float
 def split_frames(
     mechanism: Mechanism, matrices: Array, gain: Array, directions: Array, *, scaled: bool
 ) -> tuple[Array, Array, Array]:
-    """Split directions of parameters into those that only move frames and the others.
+    """Split directions of parameters, columns (n, k), into those that only move frames and others.
 
-    Args:
-        mechanism: The mechanism.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        gain: ∂(pose)/∂(parameter), shape (N, dof, n).
-        directions: Columns of shape (n, k).
-        scaled: Whether frames may grow.
-
-    Returns:
-        Directions that only move frames, the others, and the motions of the former as combinations
-        of the columns of ``frame_motions``, (k, n_moved), without those that move no platform.
+    Also return the motions of the former as combinations of the columns of ``frame_motions``, (k,
+    n_moved), without those that move no platform. ``gain``, (N, dof, n), is ∂(pose)/∂(parameter) at
+    poses ``T_base_platform``, (N, 4, 4). Frames may grow if ``scaled``.
 
     Raises:
         ObservabilityError: the legs hold the platform at none of the poses.

@@ -346,12 +346,8 @@ def hold_unobservable(
     nominal, each change weighted by its effect on the measurements. Then directions are held along
     which the standard error exceeds how far machines differ, and at least the ``fewest`` weakest.
 
-    Args:
-        mechanism: The mechanism.
-        system: What is minimised, with poses as unknowns and gauge freedoms held.
-        nominal: Conditions where a search starts.
-        held: What was held at other noise, which has the same unobservable directions, or None.
-        fewest: Least number of weakly determined directions to hold.
+    In ``system`` gauge freedoms are held; a search starts at the ``nominal`` conditions. ``held``
+    is what was held at other noise, which has the same unobservable directions.
 
     Raises:
         ObservabilityError: the legs reach none of the measured poses.
