@@ -472,11 +472,14 @@ def test_missing_file_is_named(name: str, folder: Path) -> None:
 
 
 def test_unknown_mechanism_names_the_bundled_ones(tmp_path: Path) -> None:
-    """A name that is neither folder nor bundled raises FileError with what there is."""
+    """A name that is neither folder nor bundled lists these; a file brings how to import it."""
     with pytest.raises(FileError, match=r"'nowhere'.*3RRR, 4cable, 5R"):
         pincal.load_mechanism("nowhere")
     with pytest.raises(FileError, match="absent"):
         pincal.load_mechanism(tmp_path / "absent")
+    (tmp_path / "robot.urdf").write_text("<robot name='r'/>")
+    with pytest.raises(FileError, match=r"pincal import robot\.urdf -o MECH"):
+        pincal.load_mechanism(tmp_path / "robot.urdf")
 
 
 def test_nearly_the_name_of_a_bundled_one_is_asked_about() -> None:

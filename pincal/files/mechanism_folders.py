@@ -63,6 +63,12 @@ def _folder(name_or_path: str | Path) -> Path:
     if not is_folder(folder):
         if name in folders:
             return folders[name]
+        if folder.is_file():
+            raise FileError(
+                f"{name} is a file, a mechanism is a folder; give the folder of mechanism.yaml, or "
+                f"import a robot's file first (pincal import {folder.name} -o MECH; an arm: --tip "
+                "LINK)"
+            )
         known = {mechanism.lower(): mechanism for mechanism in folders}
         nearest = get_close_matches(name.lower(), known, 1)
         question = f"; did you mean {known[nearest[0]]!r}?" if nearest else ""
