@@ -813,7 +813,7 @@ def test_the_bumped_camera_of_a_real_arm_is_named() -> None:
     data, setup, _ = _real_arm(0.06)
     result = pincal.calibrate(_arm_with_markers(), data, setup=setup, **BY_HAND)
     (step,) = (remark for remark in result.findings if remark.code == "step")
-    assert (step.rows, step.values["quantity"]) == ((BUMPED,), "what camera cam2 sees")
+    assert (step.rows, step.values["what"], step.values["name"]) == ((BUMPED,), "camera", "cam2")
     assert step.values["size"] == pytest.approx(0.69e-3, rel=0.05)
 
 

@@ -90,7 +90,7 @@ def test_no_limit_is_promised_where_the_model_lacks_something(
     assert expected.position >= 0.99 * result.misses[0]
     if fault is slip:
         (found,) = (one for one in result.contradictions if one.code == "step")
-        assert found.values["quantity"] == "reading of leg_2"
+        assert (found.values["what"], found.values["name"]) == ("reading", "leg_2")
         assert abs(found.rows[0] - len(result.measurements) // 2) <= 2
         assert found.values["size"] == pytest.approx(5e-4, rel=0.3)
 

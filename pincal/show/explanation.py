@@ -22,7 +22,7 @@ from pincal.show.tables import models_table, screen_table
 from pincal.words.faults import HYPOTHESES
 from pincal.words.numbers import POSES, SMALL, amount, chance, listed, measured
 from pincal.words.table import Table
-from pincal.words.wording import CAUSES, NAMED, filled, groups_in_words
+from pincal.words.wording import CAUSES, NAMED, SLIPPED, filled, groups_in_words
 
 _KEEP = (
     "identified parameters predict held-out rows no better; measure more poses, or more precisely"
@@ -36,22 +36,6 @@ _VERDICTS = {
     "geometry": "geometry is enough: no term predicts held-out rows better",
     "terms": "these terms help: held-out rows miss by {held_out:.2f} σ instead of {before:.2f} σ "
     "with geometry alone",
-}
-#: Subject and remedy of a slip, by its kind.
-_SLIPPED = {
-    "frame": (
-        "the frame of the measurements, or the robot's base,",
-        "look for a tracker, a tripod or a base that was moved",
-    ),
-    "target": ("the target {name!r} on the platform", "look for a target or tool that was hit"),
-    "orientation": (
-        "the orientation measured on the platform",
-        "look for a target or tool that was turned",
-    ),
-    "reading": (
-        "the reading of {name}",
-        "look for an encoder that slipped, or a belt that jumped a tooth",
-    ),
 }
 _MEND = (
     "fix that first: repeat the measurements after a slip, or name the parts in a column 'run'; "
@@ -135,16 +119,15 @@ def _or_else(alternatives: Sequence[str]) -> str:
 
 
 def _slip_line(slip: Slip) -> str:
-    subject, look = _SLIPPED[slip.what]
-    alternatives = [_SLIPPED[kind][0].format(name=name).rstrip(",") for kind, name in slip.or_else]
-    size, *further_sizes = slip.size.tolist()
-    shown = amount(float(np.hypot.reduce(slip.size)) if further_sizes else size, slip.unit)
-    if further_sizes:
+    subject, look = SLIPPED[slip.what]
+    alternatives = [(SLIPPED[kind][0] % {"name": name}).rstrip(",") for kind, name in slip.or_else]
+    shown = amount(slip.total, slip.unit)
+    if len(slip.axes) > 1:
         parts = zip(slip.axes, slip.size.tolist(), strict=True)
         along = ", ".join(f"{axis} {amount(value, slip.unit)}" for axis, value in parts)
         axes = "the platform's axes" if slip.what == "target" else "the axes of the measurements"
         shown += f" ({along}, in {axes})"
-    what = subject.format(name=slip.name)
+    what = subject % {"name": slip.name}
     course = f"from data row {slip.row + 1} on {what} is off by {shown}"
     if slip.steady:
         course = f"{what} drifts, by {shown} from the first row to the last"

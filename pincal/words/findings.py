@@ -65,9 +65,9 @@ FINDINGS: dict[str, Wording] = {
         title="residuals follow a pattern",
     ),
     "step": Wording(
-        "{quantity} is off by {size|amount(unit)} from data row {row} on ({p_value|chance})",
-        "Run pincal explain first; then look for an encoder that slipped, or a target or camera "
-        "that was hit, and leave out the shorter part",
+        "{SLIPPED[what][0] % {'name': name}} is off by {size|amount(unit)} from data row {row} on "
+        "({p_value|chance})",
+        "Run pincal explain first; then {SLIPPED[what][1]}, and leave out the shorter part",
         title="a step",
     ),
     "rows-alike": Wording(

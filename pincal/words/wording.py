@@ -143,6 +143,24 @@ CAUSES = {
     "backlash": "play, or friction that winds up the drive, by direction of approach",
     "gravity": "a gear, bearing or link that bends under weight (taken as 1 kg if unknown)",
 }
+#: Subject and remedy of a slip, by what slipped.
+SLIPPED = {
+    "frame": (
+        "the frame of the measurements, or the robot's base,",
+        "look for a tracker, a tripod or a base that was moved",
+    ),
+    "target": ("the target '%(name)s' on the platform", "look for a target or tool that was hit"),
+    "orientation": (
+        "the orientation measured on the platform",
+        "look for a target or tool that was turned",
+    ),
+    "reading": (
+        "the reading of %(name)s",
+        "look for an encoder that slipped, or a belt that jumped a tooth",
+    ),
+    "camera": ("what camera %(name)s sees", "look for a camera that was hit"),
+    "quantity": ("%(name)s", "look for an encoder that slipped or a target that was hit"),
+}
 #: Names for codes in the values of findings.
 _NAMES = {
     "TERMS": {
@@ -154,6 +172,7 @@ _NAMES = {
         "order": ("the order of the rows", "drift of temperature or of a reference"),
         "approach": ("the direction of approach", "backlash or friction"),
     },
+    "SLIPPED": SLIPPED,
     "UNDER": {
         "mm": "in mm under a metre header (1000 times too large)",
         "m": "in metres under a mm header (1000 times too small)",

@@ -99,9 +99,9 @@ def moved_cameras(fits: Fits) -> list[Finding]:
     seen = pixels != 0.0
     if chance >= FALSE_ALARM or alike or not np.mean((pixels[seen] / sigma[seen]) ** 2) > 1.0:
         return []
-    quantity, rows = f"what camera {name} sees", (int(fit.rows[row]),)
     size = float(np.sqrt(2.0 * np.mean((pixels * metres)[seen] ** 2)))
-    return [finding("step", rows, quantity=quantity, size=size, unit="m", p_value=chance)]
+    rows, what = (int(fit.rows[row]),), {"what": "camera", "name": name, "unit": "m"}
+    return [finding("step", rows, size=size, p_value=chance, **what)]
 
 
 def _camera_steps(fits: Fits) -> Iterator[tuple[float, float, bool, str, int, Array]]:

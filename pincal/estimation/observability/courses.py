@@ -28,7 +28,7 @@ _FLAT = 0.01
 """Range of a coordinate over the widest of its unit, below which it has no visible effect."""
 ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
 """Errors of all readings; of all positions, in a moving frame; of all lengths, which grow."""
-What = Literal["frame", "target", "orientation", "reading"]
+What = Literal["frame", "target", "orientation", "reading", "quantity"]
 
 
 class Score(NamedTuple):
@@ -81,6 +81,11 @@ class Slip:
     """Probability of any such slip or drift by chance, with all that was tried."""
     or_else: tuple[tuple[What, str], ...] = ()
     """What else may have slipped: these rows cannot distinguish it."""
+
+    @property
+    def total(self) -> float:
+        """Error of one quantity with its sign, or the length of the error of several."""
+        return float(self.size[0] if len(self.size) == 1 else np.linalg.norm(self.size))
 
 
 def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]:
