@@ -211,7 +211,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "gauge-base-frame": ({"freedoms": 3, "unknown_frame": True}, (), (), "the base frame (3 freedoms), since the frame of the measurements is unknown"),
     "gauge-platform-frame": ({"freedoms": 1}, (), (), "the platform frame (1 freedom), since the measurements do not show where the platform's points lie in it"),
     "gauge-scale": ({}, (), (), "the scale (1 freedom), since points touched at unknown places"),
-    "redundant-parameters": ({"count": 1, "groups": (("cam.x", *(f"tool.{n}_x" for n in range(20))),)}, (), (), "1 parameter is redundant whatever is measured: 1 parameter of cam and 20 parameters of tool move together"),
+    "redundant-parameters": ({"count": 1, "groups": (("cam.x", *(f"tool.{n}_x" for n in range(30))),)}, (), (), "1 parameter is redundant whatever is measured: 1 parameter of cam and 30 parameters of tool move together"),
 }  # fmt: skip
 #: Values of each hypothesis, and the cause that it names.
 CLAUSES: dict[str, tuple[dict[str, Any], str]] = {

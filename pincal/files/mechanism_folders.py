@@ -63,11 +63,10 @@ def _folder(name_or_path: str | Path) -> Path:
     if not is_folder(folder):
         if name in folders:
             return folders[name]
-        if folder.is_file():
+        if folder.suffix.lower() in (".urdf", ".xml", ".cfg", ".g", ".yaml"):
             raise FileError(
-                f"{name} is a file, a mechanism is a folder; give the folder of mechanism.yaml, or "
-                f"import a robot's file first (pincal import {folder.name} -o MECH; an arm: --tip "
-                "LINK)"
+                f"{name}: a mechanism is a folder; give the folder of mechanism.yaml, or import a "
+                f"robot's file first (pincal import {folder.name} -o MECH; an arm: --tip LINK)"
             )
         known = {mechanism.lower(): mechanism for mechanism in folders}
         nearest = get_close_matches(name.lower(), known, 1)

@@ -61,10 +61,11 @@ def group_in_words(group: tuple[str, ...]) -> str:
 def named(words: Sequence[object]) -> str:
     """Return words as an enumeration; after the first ``NAMED`` only how many more there are.
 
-    More than ``NAMED`` parameters are counted by leg or instrument, the part of an id before ``.``.
+    More than ``2 NAMED`` parameters are counted by leg or instrument, the part of their id before
+    ``.``.
     """
     owners = Counter(str(word).partition(".")[0] for word in words)
-    if NAMED < len(words) > len(owners):
+    if 2 * NAMED < len(words) > len(owners):
         words = [f"{counted(count, 'parameter')} of {owner}" for owner, count in owners.items()]
     return listed(words if len(words) <= NAMED else [*words[:NAMED], f"{len(words) - NAMED} more"])
 

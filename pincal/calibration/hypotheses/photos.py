@@ -100,8 +100,8 @@ def moved_cameras(fits: Fits) -> list[Finding]:
     if chance >= FALSE_ALARM or alike or not np.mean((pixels[seen] / sigma[seen]) ** 2) > 1.0:
         return []
     size = float(np.sqrt(2.0 * np.mean((pixels * metres)[seen] ** 2)))
-    rows, what = (int(fit.rows[row]),), {"what": "camera", "name": name, "unit": "m"}
-    return [finding("step", rows, size=size, p_value=chance, **what)]
+    rows, camera = (int(fit.rows[row]),), {"what": "camera", "name": name, "unit": "m"}
+    return [finding("step", rows, size=size, p_value=chance, **camera)]
 
 
 def _camera_steps(fits: Fits) -> Iterator[tuple[float, float, bool, str, int, Array]]:
