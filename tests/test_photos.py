@@ -119,6 +119,14 @@ def test_photos_to_table(tmp_path: Path) -> None:
     outcome = done("detect", tmp_path / "b.yaml", *photos, "--rows", rows, "-o", tmp_path / "n.csv")
     assert "rows without their photo: e.jpg" in outcome.err
     assert "c.jpg: not used: in no rows of rows.csv" in outcome.out
+    for name in ("a", "b"):
+        Image.open(tmp_path / f"{name}.jpg").save(tmp_path / f"{name}.png")  # without a time
+    rows.write_text("x [mm]\n1\n1\n")
+    photos = [tmp_path / "b.png", tmp_path / "a.png"]
+    outcome = done("detect", tmp_path / "b.yaml", *photos, "--rows", rows, "-o", tmp_path / "m.csv")
+    assert "in the order given" in outcome.err
+    corners = pd.read_csv(tmp_path / "m.csv")
+    assert dict(zip(corners["image"], corners["row"], strict=True)) == {"b.png": 1, "a.png": 2}
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,8 @@ from command_line import done, run
 import pincal
 from pincal.calibration.promise import errors_inside
 from pincal.calibration.session import Session, SessionOptions
-from pincal.cli.measure import SimulatedMachine, serve
+from pincal.cli.design import serve
+from pincal.design.simulate import SimulatedMachine
 from pincal.files.columns import columns_of
 from pincal.files.journal import Journal
 from pincal.show.measuring import verdict_on_row

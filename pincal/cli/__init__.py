@@ -12,6 +12,6 @@ from pincal.cli.app import main
 
 __all__ = ["main"]
 
-MODULES = "mechanisms new view workspace design measure calibration many photos files"
+MODULES = "mechanisms view design measure calibration many photos files"
 for module in MODULES.split():
     import_module(f"{__name__}.{module}")

@@ -1,10 +1,11 @@
-"""``pincal select``, ``identifiability`` and ``simulate``: planning of measurements."""
+"""``pincal workspace``, ``select``, ``identifiability``, ``simulate``: plans of measurements."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from socketserver import StreamRequestHandler, TCPServer
 from typing import Annotated
 
 import numpy as np
@@ -13,16 +14,18 @@ import typer
 import pincal
 from pincal import (
     FileError,
+    Grid,
     Margins,
     MeasurementError,
-    Measurements,
     Mechanism,
     Noise,
+    Orientations,
     Plan,
     Setup,
+    Workspace,
+    WorkspaceError,
 )
-from pincal.cli.app import command, remark, stdout, working, wrote
-from pincal.cli.measure import SimulatedMachine, serve
+from pincal.cli.app import command, remark, say, stdout, working, wrote
 from pincal.cli.options import (
     FORCE,
     SEED,
@@ -32,28 +35,121 @@ from pincal.cli.options import (
     TableOptions,
     offered,
     output_option,
+    refuse_options,
 )
-from pincal.design.planning import (
-    CONFIGURATIONS,
-    PlanningOptions,
-    sampled,
-    with_reading_noise,
-)
-from pincal.design.simulate import Simulation
+from pincal.design.planning import CONFIGURATIONS, PlanningOptions, sampled, with_reading_noise
+from pincal.design.simulate import SimulatedMachine, Simulation
 from pincal.files.columns import Columns, columns_of, reading_columns, sheet_columns
 from pincal.files.further_tables import corners_of
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
-from pincal.files.output import refuse_existing_of, writing_together
+from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
 from pincal.files.table import write_table
 from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show import explanation, tables
-from pincal.words.numbers import Units, amount
+from pincal.words.numbers import WRITTEN, amount
+from pincal.workspace.criteria import refuse_readings
+from pincal.workspace.grid import POSITION_AXES, Axis, closer_grid, default_grid
+from pincal.workspace.region import KINDS
 
 _FORECAST = 50  # number of poses without a plan
+#: Options that only regions have; only samples of poses have a number of poses.
+_OF_REGIONS = ("axis", "symmetry", "connected")
+
+
+@dataclass(frozen=True)
+class WorkspaceOptions:
+    """Options of a workspace."""
+
+    kind: str = option("poses", f"What to find: poses or {', '.join(KINDS)}.")
+    axis: tuple[str, ...] = option(
+        (),
+        "Axis of the grid, as often as needed: 'x [mm]=-500:500:10' (low:high:step), 'z=1.8', "
+        "'phi [deg]=0,20,40'. Positions: x, y or radius, bearing; z. Orientations: phi; azimuth, "
+        "tilt, torsion; rx, ry, rz; yaw, pitch, roll. Other axes span what the legs reach.",
+        metavar="AXIS",
+    )
+    count: int = option(30_000, "Number of poses.", least=1)
+    seed: int = option(0, SEED)
+    margins: bool = option(
+        True, "Ignore margins from singularities: only reach and joint limits count."
+    )
+    symmetry: bool = option(True, "Compute every position instead of a fundamental domain.")
+    connected: bool = option(False, "Keep only the connected part nearest to home.")
+    force: bool = option(False, FORCE)
+
+
+@command
+def workspace(
+    mech: Mech,
+    output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions in the workspace.")],
+    options: WorkspaceOptions,
+    margins: Margins,
+) -> None:
+    """Compute a workspace: poses to choose from, or positions.
+
+    poses (default): --count poses spread over the workspace, candidates for 'pincal select',
+    that every leg reaches in its working mode, within joint limits and margins from
+    singularities, and that are connected to home.
+
+    reachable, constant-orientation, total-orientation, dexterous: positions reached in any
+    orientation, in the given one, in all given ones, and in all orientations, respectively.
+
+    Axes that are not given span what the legs can reach.
+    """
+    if options.kind not in ("poses", *KINDS):
+        raise WorkspaceError(f"--kind {options.kind}: unknown; expected poses, {', '.join(KINDS)}")
+    foreign = _OF_REGIONS if options.kind == "poses" else ("count",)
+    refuse_options(options, foreign, f"--kind {options.kind}")
+    if not options.margins and margins != Margins():
+        raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
+    refuse_existing(output, force=options.force)
+    least = margins if options.margins else Margins.none()
+    mechanism = pincal.load_mechanism(mech)
+    if options.kind != "poses":
+        refuse_readings(mechanism)
+        _region(mechanism, output, options, least)
+        return
+    with working("sampling the workspace", options.count) as done:
+        plan = pincal.sample_configurations(mechanism, options.count, options.seed, least, done)
+    write_table(output, columns_of(mechanism, plan), units=WRITTEN, force=options.force)
+    ends = zip(plan.poses.min(axis=0), plan.poses.max(axis=0), strict=True)
+    coordinates = zip(mechanism.platform.coordinates, ends, mechanism.platform.units, strict=True)
+    ranges = (f"{name} {low:.3f} to {high:.3f} {unit}" for name, (low, high), unit in coordinates)
+    remark(f"{len(plan)} poses, {', '.join(ranges)}")
+    wrote(output)
+
+
+def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions, least: Margins) -> None:
+    """Compute and write the positions of a workspace, and print its facts."""
+    axes = [Axis.parse(text) for text in options.axis]
+    places = [axis for axis in axes if axis.name in POSITION_AXES]
+    turns = [axis for axis in axes if axis not in places]
+    orientations = Orientations.of(mechanism.platform, *turns) if turns else None
+
+    def compute(grid: Grid, text: str) -> Workspace:
+        with working(text, grid.size) as done:
+            return pincal.compute_workspace(
+                mechanism,
+                options.kind,
+                grid,
+                orientations,
+                least,
+                symmetry=options.symmetry,
+                connected=options.connected,
+                progress=done,
+            )
+
+    region = compute(default_grid(mechanism, places), f"{options.kind} workspace")
+    closer = closer_grid(region.asked, region.inside, [axis.name for axis in places])
+    if closer is not None:
+        region = compute(closer, "finer grid around the workspace")
+    region.save(output, force=options.force)
+    stdout.print(tables.workspace_table(region))
+    wrote(output)
 
 
 @dataclass(frozen=True)
@@ -278,21 +374,30 @@ def simulate(
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
     with writing_together(outputs, force=force) as scratch:
         folders, files = scratch[: -len(tables)], scratch[-len(tables) :]
-        _write_simulated(mechanism, setup, simulation.measurements, files, units)
+        data = simulation.measurements
+        if setup.corners is not None:
+            write_table(files[1], corners_of(setup, data))
+            extra = {name: x for name, x in data.extra.items() if name not in setup.pixels}
+            data = replace(data, extra=extra)
+        write_table(files[0], columns_of(mechanism, data), units=units)
         for folder in folders:
             write_mechanism(true_mechanism, folder)
     _say_unreached(planned, simulation)
     wrote(*dict(outputs))
 
 
-def _write_simulated(
-    mechanism: Mechanism, setup: Setup, data: Measurements, paths: Sequence[Path], units: Units
-) -> None:
-    if setup.corners is not None:
-        write_table(paths[1], corners_of(setup, data))
-        extra = {name: x for name, x in data.extra.items() if name not in setup.pixels}
-        data = replace(data, extra=extra)
-    write_table(paths[0], columns_of(mechanism, data), units=units)
+def serve(machine: SimulatedMachine, port: int) -> None:
+    """Answer on a local port, one caller after another, until Ctrl-C."""
+
+    class Line(StreamRequestHandler):
+        def handle(self) -> None:
+            for line in self.rfile:
+                self.wfile.write(machine.answer(line.decode("utf-8", "replace")).encode() + b"\n")
+
+    TCPServer.allow_reuse_address = True
+    with TCPServer(("127.0.0.1", port), Line) as server:
+        say(f"127.0.0.1:{server.server_address[1]}")
+        server.serve_forever()
 
 
 def _say_unreached(planned: Plan, simulation: Simulation) -> None:

@@ -14,14 +14,7 @@ import typer
 import pincal
 from pincal import Measurements, Mechanism
 from pincal.cli.app import command, remark, say, stdout, warn, wrote
-from pincal.cli.options import (
-    FORCE,
-    Force,
-    Mech,
-    named_after,
-    output_option,
-    refuse_options,
-)
+from pincal.cli.options import FORCE, Force, Mech, named_after, output_option, refuse_options
 from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.columns import write_plan
 from pincal.files.measurements import read_poses

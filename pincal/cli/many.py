@@ -26,13 +26,7 @@ from pincal.design.simulate import ERROR
 from pincal.files.journal import FAILURE, Row, RowFile
 from pincal.files.measurements import read_poses
 from pincal.option import Option, option
-from pincal.show.many import (
-    HistoryPage,
-    batch_lines,
-    montecarlo_lines,
-    row_columns,
-    row_of_result,
-)
+from pincal.show.many import HistoryPage, batch_lines, montecarlo_lines, row_columns, row_of_result
 from pincal.words.numbers import amount
 
 _Rows = Annotated[

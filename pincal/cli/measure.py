@@ -1,4 +1,4 @@
-"""``pincal measure``: a session beside the robot; and the machine of ``pincal simulate --serve``.
+"""``pincal measure``: a session beside the robot.
 
 ``--tcp`` sends set points as a line of JSON (``{"leg_1 [mm]": 812.4, …}``), and receives the
 measurements there as a line. A person, a growing file and a machine are treated alike: each gives
@@ -14,38 +14,35 @@ import socket
 import sys
 import time
 import webbrowser
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from socketserver import StreamRequestHandler, TCPServer
 from threading import Event, Lock
 from typing import Annotated, Any, TextIO, get_args
 
-import numpy as np
 import typer
 
 import pincal
-from pincal import FileError, MeasurementError, Mechanism, Noise, PincalError, Plan, Setup
+from pincal import FileError, MeasurementError, Mechanism, Noise
 from pincal.calibration.session import Session, SessionOptions
 from pincal.cli.app import command, fail, remark, say, stdout, warn, working
 from pincal.cli.options import Mech, PlanOptions, TableOptions, option_parameters, typed_name
 from pincal.design.planning import sampled, with_reading_noise
 from pincal.errors import explaining
-from pincal.files.columns import columns_of, reading_units
+from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
-from pincal.files.table import TextTable, write_table
+from pincal.files.table import write_table
 from pincal.option import option
 from pincal.show.measuring import obeyed, progress, responding, set_points
 from pincal.show.view.view import PageServer
-from pincal.words.numbers import Units, percent
+from pincal.words.numbers import percent
 
 _CANDIDATES = 500  # number of poses without a plan
 _IN_JSON: dict[type, Any] = {float: (float, int), Path: str}
 _PATIENCE = 5.0  # seconds in which an instrument must accept the connection
 _OFF = 10  # successive rows that are off, after which a source is not asked again
 _WAIT = 0.2  # seconds between two looks at a growing file
-_SLIP = 10.0  # size of a simulated slip, in standard deviations
 _HELP = (
     "enter the measurements, in the order of the columns; readings left out are taken as "
     "commanded. u: undo the last row, u 3: row 3; s: skip this pose; r 12: go to pose 12 of the "
@@ -163,7 +160,13 @@ def _remembered(folder: Path, mechanism: Mechanism, *groups: Any) -> Iterator[An
         with explaining(f"delete {path}, and type its options again", Exception):
             before = path.read_text("utf-8") if path.is_file() else "{}"
             stored: dict[str, Any] = json.loads(before)
-            _check_machine(folder, stored, mechanism)
+            drawn = {parameter.id: parameter.nominal for parameter in mechanism.parameters}
+            name, values = stored.setdefault("mechanism", [mechanism.name, drawn])
+            if values != drawn:
+                raise FileError(
+                    f"{folder} is a session of {name!r}, and {mechanism.name!r} has other "
+                    f"parameters; measure {name!r}, or name another folder (--session)"
+                )
             known = [_as_stored(g, stored.setdefault(type(g).__name__, {})) for g in groups]
         yield known
         new, text = path.with_suffix(".new"), json.dumps(stored, indent=1)
@@ -190,17 +193,6 @@ def _as_stored(group: Any, known: dict[str, Any]) -> Any:
                 raise TypeError(f"{name} is {known[name]!r}")
             stored[name] = known[name]
     return replace(group, **stored)
-
-
-def _check_machine(folder: Path, stored: dict[str, Any], mechanism: Mechanism) -> None:
-    """Raise a FileError if a stored session is of another machine; else store this machine."""
-    drawn = {parameter.id: parameter.nominal for parameter in mechanism.parameters}
-    name, values = stored.setdefault("mechanism", [mechanism.name, drawn])
-    if values != drawn:
-        raise FileError(
-            f"{folder} is a session of {name!r}, and {mechanism.name!r} has other parameters; "
-            f"measure {name!r}, or name another folder (--session)"
-        )
 
 
 @contextmanager
@@ -323,66 +315,3 @@ def _settle(session: Session, *, keep: bool) -> None:
     session.undo(place)
     session.skip(row)
     say(f"pose {row + 1} is undone, and not asked for again", *progress(session))
-
-
-class SimulatedMachine:
-    """A simulated true machine, driven by readings, with slips and drift on request."""
-
-    def __init__(
-        self, mechanism: Mechanism, truth: Mechanism, noise: Noise, setup: Setup, units: Units
-    ) -> None:
-        self.mechanism, self.truth, self.noise, self.setup = mechanism, truth, noise, setup
-        self.units = replace(units, names={"m": "mm", "rad": "deg", **units.names})
-        self.rng = np.random.default_rng(0)
-        self.slips, self.drift = 0.0, 0.0
-        """Share of rows with a slip of ten standard deviations; drift along x per row, [m]."""
-        self._rows = 0
-
-    def measured(self, set_points: Mapping[str, float]) -> dict[str, float]:
-        """Return the measurements at set points, by column with unit.
-
-        Raises:
-            MeasurementError: a reading has no set point, or the machine does not reach the pose.
-        """
-        names = [head.removesuffix("]").partition(" [")[::2] for head in set_points]
-        text = {name: [str(v)] for (name, _), v in zip(names, set_points.values(), strict=True)}
-        table = TextTable(Path("set points"), dict(names), text, [1], "row", self.mechanism.counts)
-        readings = table.array(reading_units(self.mechanism))
-        plan = Plan(pincal.forward(self.mechanism, readings).poses)
-        if not np.isfinite(plan.poses).all():
-            raise MeasurementError("the machine does not reach these set points")
-        plan = replace(plan, readings=readings if self.mechanism.by_readings else None)
-        made = pincal.simulate(self.mechanism, self.truth, plan, self.noise, self.rng, self.setup)
-        if not len(data := made.measurements):
-            raise MeasurementError(f"the machine is not measured: {made.unreachable[0][1]}")
-        sigma = self.noise.of_poses(self.mechanism)
-        place = self.rng.choice(np.flatnonzero(sigma))
-        slip = _SLIP * sigma[place] * self.rng.choice((-1.0, 1.0))
-        poses, self._rows = data.poses.copy(), self._rows + 1
-        poses[0, place] += slip * (self.rng.random() < self.slips)
-        poses[0, 0] += self.drift * self._rows
-        way = "zyx" if self.mechanism.platform.turns == 3 else "tilt-torsion"
-        columns = columns_of(self.mechanism, replace(data, poses=poses), way, self.setup)
-        written = self.units.written(columns).items()
-        return {head: float(np.asarray(values, dtype=float)[0]) for head, values in written}
-
-    def answer(self, line: str) -> str:
-        """Return the line that answers a line of set points, both JSON."""
-        try:
-            return json.dumps(self.measured(json.loads(line)))
-        except (PincalError, ValueError, AttributeError) as error:
-            return json.dumps({"trouble": str(error)})
-
-
-def serve(machine: SimulatedMachine, port: int) -> None:
-    """Answer on a local port, one caller after another, until Ctrl-C."""
-
-    class Line(StreamRequestHandler):
-        def handle(self) -> None:
-            for line in self.rfile:
-                self.wfile.write(machine.answer(line.decode("utf-8", "replace")).encode() + b"\n")
-
-    TCPServer.allow_reuse_address = True
-    with TCPServer(("127.0.0.1", port), Line) as server:
-        say(f"127.0.0.1:{server.server_address[1]}")
-        server.serve_forever()

@@ -1,4 +1,4 @@
-"""Boards, and what photos show of them: ``pincal board``, ``pincal detect``."""
+"""``pincal board`` and ``detect``: printed boards, and their points in photos."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Paper = Literal["a4", "letter", "a3", "a2", "a1", "a0"]
 
 @dataclass(frozen=True)
 class BoardOptions:
-    """What is printed."""
+    """Options of a printed board."""
 
     kind: BoardKind = option(
         "charuco",
@@ -39,15 +39,15 @@ class BoardOptions:
     squares: str = option("8x11", "Squares, or markers, along x and y.", metavar="NxM")
     square: float = option(0.025, "Pitch of the squares.", unit="m", needs_unit=True)
     marker: float | None = option(
-        None, f"Side of a marker; {SHARE} of the pitch if not given.", unit="m", needs_unit=True
+        None, f"Side of a marker [default: {SHARE} of the pitch].", unit="m", needs_unit=True
     )
     dictionary: str = option(
-        "", "Of the markers, by OpenCV's name; 4X4_250, or APRILTAG_36h11, if not given."
+        "", "OpenCV's dictionary of the markers [default: 4X4_250; APRILTAG_36h11 for apriltag]."
     )
     first: int = option(
         0, "Number of the first marker: boards in one photo must share none.", least=0
     )
-    paper: Paper | None = option(None, "Paper; the smallest A size that fits, if not given.")
+    paper: Paper | None = option(None, "Paper [default: the smallest A size that fits].")
     force: bool = option(False, FORCE)
 
 
@@ -58,9 +58,9 @@ def board(
 ) -> None:
     """Draw a board for a camera to see, in true size.
 
-    Print it at 100 %, on paper that is glued to something flat, and measure the bar by a calliper:
-    what it is longer or shorter goes into BOARD.yaml as its scale, which all measured lengths
-    follow. BOARD.yaml has the points of the board, for 'pincal detect' and for the setup.
+    Print it at 100 %, glue the paper to something flat, and measure the bar by a calliper. Write
+    its measured over its nominal length into BOARD.yaml as the scale: all lengths depend on it.
+    BOARD.yaml has the points of the board, for 'pincal detect' and for the setup.
     """
     if not (grid := re.fullmatch(r"(\d{1,3})x(\d{1,3})", options.squares)):
         raise MeasurementError(f"--squares {options.squares!r}: expected two numbers, such as 8x11")
@@ -87,12 +87,12 @@ def board(
 
 @dataclass(frozen=True)
 class DetectOptions:
-    """To what corners belong."""
+    """Options on the rows and the camera of the photos."""
 
     rows: Path | None = option(
         None,
-        "Measurements to whose rows photos belong: by their column 'image', or in the order in "
-        "which they were taken.",
+        "Measurements to whose rows the photos belong: by the column 'image', or in the order in "
+        "which the photos were taken.",
         metavar="CSV",
     )
     camera: str = option("", "Name of the camera, if the setup has several.")
@@ -109,9 +109,9 @@ def detect(
 ) -> None:
     """Find the points of boards in photos.
 
-    CORNERS.csv has each point with its pixels and their standard deviation, which a setup names as
-    its corners; CORNERS.png shows all photos with them. Corners that are blurred, small or doubtful
-    are left out and listed. Pixels are those of the sensor: a turn noted in a photo is not made.
+    CORNERS.csv has the pixels of each point and their standard deviation; name it in the setup as
+    its corners. CORNERS.png shows the points in all photos. Corners that are blurred, small or
+    doubtful are left out and listed. Pixels are the sensor's: rotations in EXIF data are ignored.
     """
     boards = [read_board(file) for file in files if file.suffix in (".yaml", ".yml")]
     paths = [file for file in files if file.suffix not in (".yaml", ".yml")]
@@ -159,9 +159,9 @@ def _table(
 
 
 def _rows(path: Path, photos: Sequence[PhotoPoints]) -> dict[str, int]:
-    """Return the row of measurements, from 1, of each photo, by name or by time.
+    """Return the row of the measurements, counted from 1, for each photo, by name or by time.
 
-    Photos that no row names are left out.
+    A photo that is not in exactly one row loses its points.
     """
     table = read_table(path)
     if "image" not in table:
@@ -178,23 +178,24 @@ def _rows(path: Path, photos: Sequence[PhotoPoints]) -> dict[str, int]:
 
 
 def _rows_by_time(path: Path, rows: int, photos: Sequence[PhotoPoints]) -> dict[str, int]:
-    """Return the row of each photo, in the order in which they were taken."""
+    """Return the row for each photo by the order of their times, or else as they are given."""
     if len(photos) != rows:
         raise MeasurementError(
             f"{counted(len(photos), 'photo')} and {counted(rows, 'row')} of {path}: some are "
-            "missing, and all behind them would be shifted; name the photo of each row in a "
+            "missing, and all that follow would get wrong rows; name the photo of each row in a "
             "column 'image'"
         )
     times = {photo.taken for photo in photos}
     by_time = None not in times and len(times) == rows
     order = np.argsort(np.array([photo.taken for photo in photos], "datetime64[us]"))
-    remark(f"photos belong to rows in the order of {'their times' if by_time else 'their names'}")
+    reason = "of their times" if by_time else "given, since not every photo has a time of its own"
+    remark(f"photos belong to rows in the order {reason}")
     numbered = (photos[i] for i in order) if by_time else photos
     return {photo.name: row for row, photo in enumerate(numbered, 1)}
 
 
 def _left_out(photos: Sequence[PhotoPoints]) -> list[str]:
-    """Return what was left out of which photo, and why."""
+    """Return a line for each photo that lacks points, with the reasons."""
     lines = []
     for photo in photos:
         if photo.reason:

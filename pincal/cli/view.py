@@ -126,16 +126,15 @@ def view(
     if suffix not in (*_PAGES, ".svg", ".png", ".pdf"):
         raise FileError(f"{output}: give it the ending .html, .svg, .png or .pdf")
     arguments, result = _read(mech, shown)
-    if output is not None and suffix not in _PAGES:
+    if output is not None:
         refuse_existing(output, force=force)
+    if output is not None and suffix not in _PAGES:
         with working("drawing"):
             image = pincal.picture(**arguments)
             image.save(output, force=force)
         _say_unreached(image.scene)
         wrote(output)
         return
-    if output is not None:
-        refuse_existing(output, force=force)
     with working("placing the legs"):
         page = pincal.view(**arguments)
         if result is not None:

@@ -11,6 +11,9 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from pincal.design.forecast import leg_rows
 from pincal.errors import SymmetryError
@@ -40,8 +43,8 @@ def distinct(platform: Platform, poses: Poses, readings: Array | None = None) ->
 def _originals(platform: Platform, poses: Poses, readings: Array | None = None) -> Index:
     """Return the index of the first copy of each configuration (itself if unique), shape (N,).
 
-    Positions, rotation matrices and readings are compared, scaled by their extents. Copies are
-    close along a random line, so only neighbours along it are compared.
+    Positions, rotation matrices and readings are compared, scaled by their extents; copies of a
+    copy are copies.
     """
     matrices = platform.matrices(poses)
     parts = [matrices[:, :3, 3], matrices[:, :3, :3].reshape(-1, 9)]
@@ -49,24 +52,12 @@ def _originals(platform: Platform, poses: Poses, readings: Array | None = None) 
     for place, part in enumerate(parts):
         size = np.abs(part).max(initial=0.0)
         parts[place] = part / max(np.ptp(part, axis=0).max(), ALIKE * size) if size else part
-    places = np.concatenate(parts, axis=1)
-    along = places @ np.random.default_rng(0).uniform(-1.0, 1.0, places.shape[1])
-    order, originals, shift = np.argsort(along, kind="stable"), np.arange(len(places)), 1
-    while shift < len(order):
-        pairs = np.stack((order[:-shift], order[shift:]))
-        pairs = pairs[:, along[pairs[1]] - along[pairs[0]] <= ALIKE * places.shape[1]]
-        if not pairs.size:
-            break
-        equal = np.abs(places[pairs[0]] - places[pairs[1]]).max(axis=1) <= ALIKE
-        if not equal.any():
-            shift += 1
-            continue
-        copies = pairs[:, equal].max(axis=0)
-        originals[copies] = pairs[:, equal].min(axis=0)
-        order, shift = order[~np.isin(order, copies)], 1
-    while (originals[originals] != originals).any():  # copies of copies
-        originals = originals[originals]
-    return originals
+    places, row = np.unique(np.concatenate(parts, axis=1), axis=0, return_inverse=True)
+    pairs = KDTree(places).query_pairs(ALIKE, p=np.inf, output_type="ndarray")
+    alike = coo_array((np.ones(len(pairs)), pairs.T), (len(places), len(places)))
+    group = connected_components(alike, directed=False)[1][row]
+    _, first, number = np.unique(group, return_index=True, return_inverse=True)
+    return np.asarray(first[number])
 
 
 _MAPPED = 10.0  # residual of mapped rows that is allowed, over the group's tolerance

@@ -12,13 +12,7 @@ import numpy as np
 
 from pincal.design.orbits import selection_group
 from pincal.design.order import in_rounds, with_distances, with_verification
-from pincal.design.select import (
-    Goal,
-    Protocol,
-    Selection,
-    select_configurations,
-    select_poses,
-)
+from pincal.design.select import Goal, Protocol, Selection, select_configurations, select_poses
 from pincal.errors import MeasurementError, SymmetryError, WorkspaceError
 from pincal.estimation.noise import assumed_noise
 from pincal.files.measurements import as_noise, read_poses

@@ -8,6 +8,7 @@ with every leg taut, and its readings are taken there.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,10 +18,12 @@ import numpy as np
 from pincal.blas import one_thread
 from pincal.design.forecast import touching
 from pincal.design.platform_error import root_mean_squares, sizes
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.observation import Observation
+from pincal.files.columns import columns_of, reading_units
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.table import TextTable
 from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.configurations import as_plan, command, planned_influences
 from pincal.kinematics.forward import forward
@@ -31,7 +34,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.model.setup import Setup
 from pincal.types import Array, Index
-from pincal.words.numbers import amount, listed
+from pincal.words.numbers import Units, amount, listed
 
 ERROR = 1e-3
 """Default standard deviation of a machine's parameters: over its size, [rad], or [1]."""
@@ -243,3 +246,55 @@ def accuracy(model: GivenMechanism, truth: GivenMechanism, poses: Plan | Poses) 
     reached = np.isfinite(errors).all(axis=1)
     worst, lost = float(errors[reached, 0].max(initial=0.0)), int((~reached).sum())
     return Accuracy(*root_mean_squares(errors), worst, len(errors), lost)
+
+
+_SLIP = 10.0  # size of a slip, in standard deviations
+
+
+class SimulatedMachine:
+    """A simulated true machine, driven by readings, with slips and drift on request."""
+
+    def __init__(
+        self, mechanism: Mechanism, truth: Mechanism, noise: Noise, setup: Setup, units: Units
+    ) -> None:
+        self.mechanism, self.truth, self.noise, self.setup = mechanism, truth, noise, setup
+        self.units = replace(units, names={"m": "mm", "rad": "deg", **units.names})
+        self.rng = np.random.default_rng(0)
+        self.slips, self.drift = 0.0, 0.0
+        """Share of rows with a slip of ten standard deviations; drift along x per row, [m]."""
+        self._rows = 0
+
+    def measured(self, set_points: Mapping[str, float]) -> dict[str, float]:
+        """Return the measurements at set points, by column with unit.
+
+        Raises:
+            MeasurementError: a reading has no set point, or the machine does not reach the pose.
+        """
+        names = [head.removesuffix("]").partition(" [")[::2] for head in set_points]
+        text = {name: [str(v)] for (name, _), v in zip(names, set_points.values(), strict=True)}
+        table = TextTable(Path("set points"), dict(names), text, [1], "row", self.mechanism.counts)
+        readings = table.array(reading_units(self.mechanism))
+        plan = Plan(forward(self.mechanism, readings).poses)
+        if not np.isfinite(plan.poses).all():
+            raise MeasurementError("the machine does not reach these set points")
+        plan = replace(plan, readings=readings if self.mechanism.by_readings else None)
+        made = simulate(self.mechanism, self.truth, plan, self.noise, self.rng, self.setup)
+        if not len(data := made.measurements):
+            raise MeasurementError(f"the machine is not measured: {made.unreachable[0][1]}")
+        sigma = self.noise.of_poses(self.mechanism)
+        place = self.rng.choice(np.flatnonzero(sigma))
+        slip = _SLIP * sigma[place] * self.rng.choice((-1.0, 1.0))
+        poses, self._rows = data.poses.copy(), self._rows + 1
+        poses[0, place] += slip * (self.rng.random() < self.slips)
+        poses[0, 0] += self.drift * self._rows
+        way = "zyx" if self.mechanism.platform.turns == 3 else "tilt-torsion"
+        columns = columns_of(self.mechanism, replace(data, poses=poses), way, self.setup)
+        written = self.units.written(columns).items()
+        return {head: float(np.asarray(values, dtype=float)[0]) for head, values in written}
+
+    def answer(self, line: str) -> str:
+        """Return the line that answers a line of set points, both JSON."""
+        try:
+            return json.dumps(self.measured(json.loads(line)))
+        except (PincalError, ValueError, AttributeError) as error:
+            return json.dumps({"trouble": str(error)})

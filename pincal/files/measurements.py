@@ -14,12 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError, located
-from pincal.files.columns import (
-    known_columns,
-    reading_units,
-    table_of,
-    unknown_columns,
-)
+from pincal.files.columns import known_columns, reading_units, table_of, unknown_columns
 from pincal.files.further_tables import read_corners, related_columns, with_pairs
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import TextTable, is_dataframe, read_table, renamed

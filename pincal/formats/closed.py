@@ -19,14 +19,7 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError, located
 from pincal.files.tree import Step, Tree, coupled
 from pincal.formats.arm import displaced
-from pincal.formats.limbs import (
-    Limb,
-    leg_of,
-    limbs_of,
-    onto_normal,
-    plane_of,
-    point_platform,
-)
+from pincal.formats.limbs import Limb, leg_of, limbs_of, onto_normal, plane_of, point_platform
 from pincal.kinematics.assembly import assembled, independent, opening
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
 from pincal.model.consistency import identifiers

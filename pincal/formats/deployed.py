@@ -141,12 +141,7 @@ def python_file(deployed: Deployed) -> str:
 
 
 def c_header(deployed: Deployed, prefix: str) -> str:
-    """Return the kinematics of a machine as the text of a C99 header.
-
-    Args:
-        deployed: The machine.
-        prefix: Prefix of the functions' names, such as ``hexapod``.
-    """
+    """Return the kinematics of a machine as a C99 header; names begin with ``prefix``."""
     tables = deployed.tables
     legs, load = tables["legs"], tables["load"]
     chains = [chain for leg in legs for end in leg["ends"] for chain in (end["tip"], end["frame"])]

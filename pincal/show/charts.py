@@ -7,8 +7,6 @@ are divided by their standard deviations σ√(1−h), with leverage h.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,7 +19,6 @@ from pincal.show.misses import camera_misses, level_poses, noisy_residuals
 from pincal.show.picture import shortened
 from pincal.show.style import EVERY, GROUND, INK, OUTLIER, leg_colour
 from pincal.show.view.scene import rounded_down
-from pincal.types import Array
 from pincal.words.numbers import SMALL, STORED, amount, per_si
 from pincal.words.wording import clean
 
@@ -147,7 +144,13 @@ class Plots:
             raise MeasurementError("no map: the platform's position is not determined anywhere")
         errors *= per_si("m")
         most = float(np.nanquantile(errors, 0.95))  # so that a few cells at the edge do not hide it
-        _draw_map(ax, x, y, errors, "expected error of position", cmap="cividis", vmax=most)
+        x, y = per_si("m", STORED) * x, per_si("m", STORED) * y
+        half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
+        extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
+        image = ax.imshow(errors, origin="lower", extent=extent, cmap="cividis", vmax=most)
+        label = f"expected error of position [{SMALL['m']}]"
+        ax.figure.colorbar(image, ax=ax, label=label, extend="max")
+        ax.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
         if height is not None:
             ax.set_title(f"z = {amount(height, 'm', 3, STORED)}".replace("-", "−"))
         return ax
@@ -155,16 +158,6 @@ class Plots:
 
 def _axes(width: float, height: float) -> Axes:
     return Figure((width, height), layout="compressed").subplots()
-
-
-def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str, **colours: Any) -> None:
-    """Draw values, shape (n_y, n_x), in displayed units, over x and y [m]."""
-    x, y = per_si("m", STORED) * x, per_si("m", STORED) * y
-    half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
-    extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
-    image = axes.imshow(values, origin="lower", extent=extent, **colours)
-    axes.figure.colorbar(image, ax=axes, label=f"{name} [{SMALL['m']}]", extend="max")
-    axes.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
 
 
 def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:

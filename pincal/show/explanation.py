@@ -19,7 +19,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.relations import ORIGIN
 from pincal.show.answers import rejected_lines, unpromised, weak_lines
 from pincal.show.tables import models_table, screen_table
-from pincal.words.faults import HYPOTHESES
+from pincal.words.findings import HYPOTHESES
 from pincal.words.numbers import POSES, SMALL, amount, chance, listed, measured
 from pincal.words.table import Table
 from pincal.words.wording import CAUSES, NAMED, SLIPPED, filled, groups_in_words
@@ -67,14 +67,8 @@ def explanation_lines(explanation: Explanation) -> list[str]:
         f"fold {fold + 1} is not compared, since the other rows do not determine a model: {reason}"
         for fold, reason in explanation.lost
     ]
-    return [*lines, *_verdict_lines(explanation, visible)]
-
-
-def _verdict_lines(explanation: Explanation, visible: Sequence[Candidate]) -> list[str]:
-    """Return the verdict, and a remedy if residuals follow a pattern nevertheless."""
-    result = explanation.result
     sizes = {"held_out": explanation.model.held_out, "before": explanation.models[1].held_out}
-    lines = [_VERDICTS[explanation.verdict].format(**sizes)]
+    lines.append(_VERDICTS[explanation.verdict].format(**sizes))
     follows = visible or "model-lacks" in {remark.code for remark in result.contradictions}
     if follows and explanation.verdict == "geometry" and not (result.promises or explanation.slips):
         ends = f"--terms {term_text(*visible[0].pair)} models it" if visible else _BY_CHANCE

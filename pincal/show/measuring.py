@@ -16,7 +16,7 @@ from pincal.model.checks import counted
 from pincal.show.picture import picture
 from pincal.show.style import figure_bytes
 from pincal.show.view.view import Respond
-from pincal.words.faults import causes
+from pincal.words.findings import causes
 from pincal.words.numbers import amount, percent
 from pincal.words.wording import rendered
 

@@ -240,7 +240,10 @@ def paint(axes: Axes, shapes: list[tuple[Shape, Array]], V: Array, colour: str =
         points = _points(shape, place @ shape.T_link_shape, V)
         if len(points):  # sorted by the nearest point; plates by a farther one: parts stand on them
             depth = float(np.quantile(points @ V[2], 0.25 if shape.kind == "mesh" else 1.0))
-            polygons.append((round(depth, 9), _hull(points @ V[:2].T), colour or shape.colour))
+            flat = points @ V[:2].T
+            hull = flat[ConvexHull(flat).vertices]
+            hull = np.roll(hull, -int(np.lexsort(hull.round(9).T)[0]), axis=0)  # the lowest first
+            polygons.append((round(depth, 9), hull, colour or shape.colour))
     polygons.sort(key=lambda polygon: polygon[0])
     fills = np.array([to_rgb(fill) for *_, fill in polygons]).reshape(-1, 3)
     painted = PolyCollection(
@@ -268,9 +271,3 @@ def _points(shape: Shape, T: Array, V: Array) -> Array:
         ends = [np.insert(radius * _CIRCLE, 2, end, axis=1) for end in (-length / 2, length / 2)]
         points = np.concatenate(ends)
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])
-
-
-def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of planar points, shape (n, 2), in order."""
-    corners = points[ConvexHull(points).vertices]
-    return np.roll(corners, -int(np.lexsort(corners.round(9).T)[0]), axis=0)  # the lowest first

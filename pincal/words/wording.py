@@ -15,7 +15,7 @@ from functools import cache
 from math import isfinite
 from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from pincal.finding import Finding, Severity
 from pincal.model.checks import counted
@@ -46,11 +46,6 @@ def filled(words: str, finding: Finding) -> str:
     them = "it" if len(rows) == 1 else "them"
     names = {"rows": rows, "row": rows[0] if rows else None, "them": them}
     return _template(words).render(names, parameters=finding.parameters, **finding.values)
-
-
-@cache
-def _template(words: str) -> Template:
-    return sentence_templates().from_string(words)
 
 
 def group_in_words(group: tuple[str, ...]) -> str:
@@ -193,6 +188,9 @@ def sentence_templates() -> Environment:
     environment.filters |= _FILTERS
     environment.globals |= _NAMES | {"noise_in_words": noise_in_words}
     return environment
+
+
+_template = cache(lambda words: sentence_templates().from_string(words))
 
 
 @cache

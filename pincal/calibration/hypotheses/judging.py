@@ -48,7 +48,7 @@ class Hypothesis:
     """A hypothesis on a fault in measurements, with its correction."""
 
     code: str
-    """Code of its finding; sentence and remedy are in ``pincal.words.faults``."""
+    """Code of its finding; sentence and remedy are in ``pincal.words.findings``."""
     right: Callable[[Measurements], Measurements]
     """Function that returns corrected measurements."""
     values: Mapping[str, Any] = field(default_factory=dict)
