@@ -152,11 +152,12 @@ def typed() -> str:
     return shlex.join(["pincal", *_typed])
 
 
-def run_step(*words: object) -> None:
-    """Show a command as it would be typed, and run it within another."""
+def run_step(*words: object, allowed: int = 0) -> None:
+    """Show a command as typed, and run it within another; end at an exit code above ``allowed``."""
     _typed[:] = map(str, words)
     stdout.print(f"\n$ {typed()}", style="bold", soft_wrap=True)
-    if code := _commands()(args=_typed, prog_name="pincal", standalone_mode=False):
+    code = _commands()(args=_typed, prog_name="pincal", standalone_mode=False) or 0
+    if code > allowed:
         raise typer.Exit(code)
 
 

@@ -17,6 +17,7 @@ from pincal import (
     Grid,
     Margins,
     MeasurementError,
+    Measurements,
     Mechanism,
     Noise,
     Orientations,
@@ -50,7 +51,7 @@ from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show import explanation, tables
-from pincal.words.numbers import WRITTEN, amount
+from pincal.words.numbers import WRITTEN, Units, amount
 from pincal.workspace.criteria import refuse_readings
 from pincal.workspace.grid import POSITION_AXES, Axis, closer_grid, default_grid
 from pincal.workspace.region import KINDS
@@ -234,8 +235,7 @@ def identifiability(
     accuracy: Annotated[
         float | None,
         offered(
-            "accuracy",
-            Option("Required RMS position error over the workspace [m].", unit="m"),
+            "accuracy", Option("Required RMS position error over the workspace [m].", unit="m")
         ),
     ] = None,
 ) -> None:
@@ -326,6 +326,16 @@ def _true_mechanism(
     return true_mechanism, False
 
 
+def _write_simulated(
+    mechanism: Mechanism, setup: Setup, data: Measurements, paths: Sequence[Path], units: Units
+) -> None:
+    if setup.corners is not None:
+        write_table(paths[1], corners_of(setup, data))
+        extra = {name: x for name, x in data.extra.items() if name not in setup.pixels}
+        data = replace(data, extra=extra)
+    write_table(paths[0], columns_of(mechanism, data), units=units)
+
+
 @command
 def simulate(
     mech: Mech,
@@ -374,12 +384,7 @@ def simulate(
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
     with writing_together(outputs, force=force) as scratch:
         folders, files = scratch[: -len(tables)], scratch[-len(tables) :]
-        data = simulation.measurements
-        if setup.corners is not None:
-            write_table(files[1], corners_of(setup, data))
-            extra = {name: x for name, x in data.extra.items() if name not in setup.pixels}
-            data = replace(data, extra=extra)
-        write_table(files[0], columns_of(mechanism, data), units=units)
+        _write_simulated(mechanism, setup, simulation.measurements, files, units)
         for folder in folders:
             write_mechanism(true_mechanism, folder)
     _say_unreached(planned, simulation)

@@ -182,8 +182,7 @@ def history(
         Path | None, output_option("HISTORY.html", "Page with charts of the parameters.")
     ] = None,
     accuracy: Annotated[
-        float | None,
-        offered("accuracy", Option("Largest RMS error allowed.", unit="m rad")),
+        float | None, offered("accuracy", Option("Largest RMS error allowed.", unit="m rad"))
     ] = None,
     force: Force = False,
 ) -> None:

@@ -331,7 +331,8 @@ def demo(
     run_step("simulate", mech, plan, *noise, *drawn, "--truth", truth, "-o", measured)
     results = {"each leg alone": output / "per_leg", "all together": output / "result"}
     for method, folder in zip(("per-leg", "all-legs"), results.values(), strict=True):
-        run_step("calibrate", mech, measured, *noise, "--method", method, "-o", folder, *forced)
+        words = (mech, measured, *noise, "--method", method, "-o", folder, *forced)
+        run_step("calibrate", *words, allowed=1)  # a leg alone may fail on held-out rows
     stdout.print("\nErrors of the true machine when each model drives it:", style="bold")
     models: dict[str, str | Path] = {"nominal": mech, **results}
     poses = pincal.Plan.from_csv(candidates, mechanism)

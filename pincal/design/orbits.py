@@ -52,10 +52,11 @@ def _originals(platform: Platform, poses: Poses, readings: Array | None = None) 
     for place, part in enumerate(parts):
         size = np.abs(part).max(initial=0.0)
         parts[place] = part / max(np.ptp(part, axis=0).max(), ALIKE * size) if size else part
-    places, row = np.unique(np.concatenate(parts, axis=1), axis=0, return_inverse=True)
+    places = np.concatenate(parts, axis=1).round(7) + 0.0  # most copies are then equal
+    places, row = np.unique(places, axis=0, return_inverse=True)
     pairs = KDTree(places).query_pairs(ALIKE, p=np.inf, output_type="ndarray")
-    alike = coo_array((np.ones(len(pairs)), pairs.T), (len(places), len(places)))
-    group = connected_components(alike, directed=False)[1][row]
+    adjacency = coo_array((np.ones(len(pairs)), pairs.T), (len(places), len(places)))
+    group = connected_components(adjacency, directed=False)[1][row]
     _, first, number = np.unique(group, return_index=True, return_inverse=True)
     return np.asarray(first[number])
 

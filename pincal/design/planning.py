@@ -181,11 +181,7 @@ def _of_legs(
 
 
 def _candidates(
-    mechanism: Mechanism,
-    choice: PlanningOptions,
-    setup: Setup,
-    margins: Margins | None,
-    count: int,
+    mechanism: Mechanism, choice: PlanningOptions, setup: Setup, margins: Margins | None, count: int
 ) -> Plan:
     """Return candidates within limits and margins: the given ones, or about ``count`` samples."""
     if choice.candidates is not None:

@@ -52,14 +52,16 @@ def table_of(
         unused = [name for name in unknown_columns(table, known) if name not in wanted_influences]
         if unused:
             missing = [name for name in known if name not in table.units and "sigma" not in name]
-            shown = []
-            for name in unused[:NAMED]:
-                near = get_close_matches(name, missing, 1, _NEAR)
-                question = "".join(f" (is it {column}?)" for column in near)
-                shown.append((name if name.isprintable() else ascii(name)) + question)
+            shown = ", ".join(_meant_perhaps(name, missing) for name in unused[:NAMED])
             count = f" and {len(unused) - NAMED} more" * (len(unused) > NAMED)
-            _log.info("%s: columns not used: %s", table.path, ", ".join(shown) + count)
+            _log.info("%s: columns not used: %s", table.path, shown + count)
     return table
+
+
+def _meant_perhaps(name: str, missing: Sequence[str]) -> str:
+    """Return a column's name, with a question whether it means a missing column of like name."""
+    near = get_close_matches(name, missing, 1, _NEAR)
+    return (name if name.isprintable() else ascii(name)) + "".join(f" (is it {n}?)" for n in near)
 
 
 def unknown_columns(table: TextTable, known: Collection[str]) -> list[str]:

@@ -122,14 +122,7 @@ def _pairs(
             "that of row a is 'dz')"
         )
     first: dict[tuple[object, ...], int] = {}
-    for line, (a, b) in enumerate(zip(*(table.text[end] for end in _ENDS), strict=True)):
-        if a == b or not {a, b} <= {*names}:
-            strange = b if a in names else a
-            fault = "measured from itself" if a == b else f"no row of {measured}"
-            raise MeasurementError(
-                f"{table.where(line)}: row {strange!r} is {fault}; expected two rows, by its "
-                "column 'row', or by their numbers if it has none"
-            )
+    for line, (a, b) in enumerate(_ends(table, names, measured)):
         filled = {kind: float(column[line]) for kind, column in values.items()}
         for kind, value in ((kind, v) for kind, v in filled.items() if np.isfinite(v)):
             before = first.setdefault((kind, frozenset((a, b)), abs(value)), line)
@@ -142,6 +135,19 @@ def _pairs(
             yield a, b, kind, value, sigma[line]
     if not first:
         raise MeasurementError(f"{table.path}: no distance is filled in")
+
+
+def _ends(table: TextTable, names: Collection[str], measured: Path) -> Iterator[tuple[str, str]]:
+    """Yield the names of rows a and b for each line."""
+    for line, (a, b) in enumerate(zip(*(table.text[end] for end in _ENDS), strict=True)):
+        if a == b or not {a, b} <= {*names}:
+            strange = b if a in names else a
+            fault = "measured from itself" if a == b else f"no row of {measured}"
+            raise MeasurementError(
+                f"{table.where(line)}: row {strange!r} is {fault}; expected two rows, by its "
+                "column 'row', or by their numbers if it has none"
+            )
+        yield a, b
 
 
 def read_corners(setup: Setup, table: TextTable, lines: Sequence[int]) -> tuple[Pixels, Pixels]:
@@ -168,13 +174,7 @@ def read_corners(setup: Setup, table: TextTable, lines: Sequence[int]) -> tuple[
     names = _cameras_and_points(corners, pairs)
     rows = [place.get(table.lines[row], -1) for row in _rows(corners, table)]
     used = np.array([name in pairs and row >= 0 for name, row in zip(names, rows, strict=True)])
-    first = dict[tuple[int, tuple[str, str]], int]()
-    for i, (row, corner) in enumerate(zip(rows, names, strict=True)):
-        if (earlier := first.setdefault((row, corner), i)) != i and row >= 0:
-            raise MeasurementError(
-                f"{corners.where(i)}: point {corner[1]!r} was seen in this row before, in "
-                f"{corners.counted} {corners.lines[earlier]}; leave one of them"
-            )
+    _check_repeats(corners, list(zip(rows, names, strict=True)))
     every = [column for pair in pairs.values() for column in pair]
     columns = np.array([[*map(every.index, pairs[names[i]])] for i in np.flatnonzero(used)])
 
@@ -230,6 +230,17 @@ def _cameras_and_points(corners: TextTable, pairs: Pairs) -> list[tuple[str, str
     if unused:
         _log.info("%s: corners not used: %s", corners.path, listed(unused))
     return names
+
+
+def _check_repeats(corners: TextTable, names: Sequence[tuple[int, tuple[str, str]]]) -> None:
+    """Raise if a point was seen twice in a row of the measurements by one camera."""
+    first = dict[tuple[int, tuple[str, str]], int]()
+    for i, name in enumerate(names):
+        if (earlier := first.setdefault(name, i)) != i and name[0] >= 0:
+            raise MeasurementError(
+                f"{corners.where(i)}: point {name[1][1]!r} was seen in this row before, in "
+                f"{corners.counted} {corners.lines[earlier]}; leave one of them"
+            )
 
 
 def _rows(corners: TextTable, table: TextTable) -> list[int]:

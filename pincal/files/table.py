@@ -211,9 +211,7 @@ def _of_rows(
     above = list(islice(filled, _MOST_TITLES))
     if not above:
         raise MeasurementError(f"{path}: empty; expected a header line and rows")
-    headed = (n for n, (_, row) in enumerate(above) if any(map(_HEADER.search, row)))
-    several = (n for n, (_, row) in enumerate(above) if sum(bool(cell.strip()) for cell in row) > 1)
-    titles = next(headed, next(several, 0))  # titles have no units, or just one cell
+    titles = _titles([row for _, row in above])
     top, header = above[titles]
     units, numbers, rows = _header(path, header, top, counted), [], []
     for number, row in chain(above[titles + 1 :], filled):
@@ -230,6 +228,13 @@ def _of_rows(
         _log.info("%s: %s", path, ", ".join(notes))
     text = dict(zip(units, map(list, zip(*rows, strict=True)), strict=True))
     return TextTable(path, units, text, numbers, counted)
+
+
+def _titles(rows: Sequence[Sequence[str]]) -> int:
+    """Return the number of title rows above the headers; titles have no units or just one cell."""
+    headed = (n for n, row in enumerate(rows) if any(map(_HEADER.search, row)))
+    several = (n for n, row in enumerate(rows) if sum(bool(cell.strip()) for cell in row) > 1)
+    return next(headed, next(several, 0))
 
 
 def _in_plain_digits(

@@ -228,13 +228,7 @@ def _named(name: str, leg: Leg, shared: Counter[str]) -> Leg:
 
     joints = [replace(joint, mass=0.0, centre=Joint.centre) for joint in leg.joints]  # frames moved
     ends = (end.moved(partial(renamed, place=i)) for i, end in enumerate(leg.ends, 2))
-    return replace(
-        leg,
-        name=name,
-        joints=tuple(joints),
-        point=renamed(leg.point),
-        ends=tuple(ends),
-    )
+    return replace(leg, name=name, joints=tuple(joints), point=renamed(leg.point), ends=tuple(ends))
 
 
 def _joint_remarks(tree: Tree, legs: Sequence[Leg]) -> Iterator[str]:

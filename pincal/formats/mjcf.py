@@ -50,9 +50,9 @@ def read_mjcf(path: Path) -> Tree:
     """Return the tree of an MJCF file, with its loops and drives."""
     title = read_xml(path, "mujoco").get("model")
     model = _compiled(path)
-    links = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
-    owners = [links[body] for body in model.jnt_bodyid]
-    joints = [model.joint(i).name or f"{owner}_joint_{i}" for i, owner in enumerate(owners)]
+    links = _names(model, mujoco.mjtObj.mjOBJ_BODY, [f"body_{i}" for i in range(model.nbody)])
+    of_joints = [f"{links[body]}_joint_{i}" for i, body in enumerate(model.jnt_bodyid)]
+    joints = _names(model, mujoco.mjtObj.mjOBJ_JOINT, of_joints)
     edges = [edge for body in range(1, model.nbody) for edge in _edges(model, body, links, joints)]
     carriers, remarks = {edge.child: edge.joint.name for edge in edges}, dict[str, str]()
     for i, body in enumerate(model.site_bodyid):  # a named site is a link fixed to its body
@@ -122,6 +122,12 @@ def _drop_shapes(spec: mujoco.MjSpec) -> None:
     spec.compiler.boundmass = spec.compiler.boundinertia = 1.0
     spec.compiler.balanceinertia = True
     spec.compiler.fusestatic = spec.compiler.alignfree = False
+
+
+def _names(model: mujoco.MjModel, kind: int, unnamed: list[str]) -> list[str]:
+    """Return the names of all objects of a kind; ``unnamed`` has one for each without a name."""
+    named = [mujoco.mj_id2name(model, kind, i) for i in range(len(unnamed))]
+    return [name or substitute for name, substitute in zip(named, unnamed, strict=True)]
 
 
 def _pose(position: Array, quaternion: Array = _STILL) -> Array:

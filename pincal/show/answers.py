@@ -169,8 +169,10 @@ def next_steps(
         return [f"pincal select {folder} --measure {measure}{noise} -o PLAN.csv"]
     if "few-poses" in codes:
         return [f"pincal select {folder} -o PLAN.csv"]
-    if not result.promises:
-        return [again("explain")]
+    return _uses(result, folder) if result.promises else [again("explain")]
+
+
+def _uses(result: CalibrationResult, folder: str) -> list[str]:
     deploy, view = f"pincal deploy {folder} -o controller", f"pincal view {folder}"
     with suppress(MechanismError):
         delta_printer(result.identified)

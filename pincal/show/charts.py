@@ -143,11 +143,11 @@ class Plots:
         if np.isnan(errors).all():
             raise MeasurementError("no map: the platform's position is not determined anywhere")
         errors *= per_si("m")
-        most = float(np.nanquantile(errors, 0.95))  # so that a few cells at the edge do not hide it
+        largest = float(np.nanquantile(errors, 0.95))  # a few cells at the edge do not hide it
         x, y = per_si("m", STORED) * x, per_si("m", STORED) * y
         half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
         extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
-        image = ax.imshow(errors, origin="lower", extent=extent, cmap="cividis", vmax=most)
+        image = ax.imshow(errors, origin="lower", extent=extent, cmap="cividis", vmax=largest)
         label = f"expected error of position [{SMALL['m']}]"
         ax.figure.colorbar(image, ax=ax, label=label, extend="max")
         ax.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")

@@ -67,8 +67,14 @@ def explanation_lines(explanation: Explanation) -> list[str]:
         f"fold {fold + 1} is not compared, since the other rows do not determine a model: {reason}"
         for fold, reason in explanation.lost
     ]
+    return [*lines, *_verdict_lines(explanation, visible)]
+
+
+def _verdict_lines(explanation: Explanation, visible: Sequence[Candidate]) -> list[str]:
+    """Return the verdict, and a remedy if residuals follow a pattern nevertheless."""
+    result = explanation.result
     sizes = {"held_out": explanation.model.held_out, "before": explanation.models[1].held_out}
-    lines.append(_VERDICTS[explanation.verdict].format(**sizes))
+    lines = [_VERDICTS[explanation.verdict].format(**sizes)]
     follows = visible or "model-lacks" in {remark.code for remark in result.contradictions}
     if follows and explanation.verdict == "geometry" and not (result.promises or explanation.slips):
         ends = f"--terms {term_text(*visible[0].pair)} models it" if visible else _BY_CHANCE

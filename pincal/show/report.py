@@ -192,11 +192,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             cameras,
             tables.outliers_table(result) if result.outliers else None,
         ),
-        (
-            "platform",
-            "Error of the platform",
-            _chart(result, "error_map"),
-        ),
+        ("platform", "Error of the platform", _chart(result, "error_map")),
         reproduction,
     ]
 

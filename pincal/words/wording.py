@@ -160,10 +160,7 @@ SLIPPED = {
 #: Names for codes in the values of findings.
 _NAMES = {
     "TERMS": {
-        "angle": (
-            "the reading itself",
-            "an eccentric encoder disc, an uneven gear or lead screw",
-        ),
+        "angle": ("the reading itself", "an eccentric encoder disc, an uneven gear or lead screw"),
         "pose": ("the pose", "legs or a base that bend, or errors of the tracker over its volume"),
         "order": ("the order of the rows", "drift of temperature or of a reference"),
         "approach": ("the direction of approach", "backlash or friction"),

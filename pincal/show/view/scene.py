@@ -174,8 +174,8 @@ def scene(
     driven = partial(_driven, mechanism, plan, drawn.readings, machine)
     if magnify is None:
         plain, size = driven(1.0), Scene(mechanism, plan, drawn).size
-        off = np.linalg.norm((plain.placements - drawn.placements)[..., :3, 3], axis=2)
-        usual = max(float(np.nanquantile(off, 0.9)), 1e-12)
+        distances = np.linalg.norm((plain.placements - drawn.placements)[..., :3, 3], axis=2)
+        usual = max(float(np.nanquantile(distances, 0.9)), 1e-12)
         magnify = rounded_down(float(np.clip(_SEEN * size / usual, 1.0, 1000.0)))
         while driven(magnify).problems.count("") < plain.problems.count(""):
             magnify = rounded_down(magnify / 2)
