@@ -139,13 +139,7 @@ class Closure:
     @cached_property
     def constraint_by_pose(self) -> Array:
         """Nᵀ ∂c/∂x, shape (N, m - n_passive, dof)."""
-        if self.leg.projects or not self.passive.shape[2]:
-            return self.project(self.pose)
-        m = self.leg.linear
-        rows = [row if m == 3 else min(row, 2) for row in self.leg.platform.twist_rows]
-        forces = self.normal.transpose(2, 1, 0)
-        power = np.stack([wrench(self.arm[:m], force)[rows] for force in forces])
-        return -power.transpose(2, 0, 1)
+        return self.project(self.pose)
 
     @cached_property
     def constraint_by_parameter(self) -> Array:

@@ -301,19 +301,14 @@ def home_gap(leg: Leg, platform: Platform) -> tuple[float, float]:
 
     An angle counts times the leg's size; ends that close no frame have none.
     """
-    links, gap, turn = leg.link_placements(leg.home[None])[0], 0.0, 0.0
-    for end in leg.every_end:
-        tip = links[leg.index(end.tip)]
-        if isinstance(end.meets, str):
-            frame = links[leg.index(end.meets)]
-            axes = frame[:3, :3]
-        else:
-            frame = platform.home_pose.as_matrix()[0] @ end.meets.placement.origin()
-            axes = np.eye(3)
-        offset = axes.T @ (tip - frame)[:3, 3]
-        shift = offset[[row for row in platform.closing(end) if row < 3]]
+    gap = turn = 0.0
+    for end, tip in zip(leg.every_end, leg.ends_at(leg.home[None])[:, 0], strict=True):
+        met = np.eye(4)
+        if end.point is not None:
+            met = platform.home_pose.as_matrix()[0] @ end.point.placement.origin()
+        shift = (tip - met)[[row for row in platform.closing(end) if row < 3], 3]
         gap = max(gap, float(np.linalg.norm(shift)))
         if end.closes == "frame":
-            R = Rotation.from_matrix(frame[:3, :3].T @ tip[:3, :3])
+            R = Rotation.from_matrix(met[:3, :3].T @ tip[:3, :3])
             turn = max(turn, leg.size * float(R.magnitude()))
     return gap, turn

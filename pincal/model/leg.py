@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.model.checks import counted, listed, must_be, number_of, one_line
@@ -19,6 +20,7 @@ from pincal.types import Array
 
 _ABOUT, _PLACES = 0.3, 4  # spread, [rad] or over the size, and count of tests for idle joints
 _IDLE = 1e-7  # singular value, of motions over the size, below which a motion moves no end
+_STEP = 1e-5  # of a joint, [rad] or over the size, by whose differences motions are computed
 
 
 @dataclass(frozen=True)
@@ -105,40 +107,22 @@ class Leg:
     def _idle(self) -> list[str]:
         """Return names of the passive joints that move no end, by the rank of their motions."""
         idle: list[str] = []
-        free = [i for i in range(len(self.moving)) if i not in self.active]
-        shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, len(self.moving)))
-        motions = self._motions(self.home + _ABOUT * shares * self.scales) * self.scales / self.size
-        if not np.isfinite(motions).all():  # the leg has no home
+        free, n = list(self.passive), len(self.moving)
+        if not (free and np.isfinite(self.home).all()):
             return idle
-        while free and np.linalg.matrix_rank(motions[:, :, free], tol=_IDLE).max() < len(free):
-            still = int(np.abs(np.linalg.svd(motions[0, :, free].T)[2][-1]).argmax())
-            idle.append(self.moving[free.pop(still)].name)
+        shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, 1, n))
+        steps = _STEP * np.array((-np.eye(n), np.eye(n)))[:, None]  # to central differences
+        joints = self.home + (_ABOUT * shares + steps) * self.scales
+        before, after = np.split(self.ends_at(joints.reshape(-1, n)), 2, axis=1)
+        turns = (after[..., :3, :3] @ before[..., :3, :3].mT).reshape(-1, 3, 3)
+        shifts = (after - before)[..., :3, 3].reshape(-1, 3) / self.size
+        twists = np.hstack((shifts, Rotation.from_matrix(turns).as_rotvec())) / (2.0 * _STEP)
+        by_end = zip(twists.reshape(-1, _PLACES, n, 6), self.every_end, strict=True)
+        motions = np.concatenate([twist[:, :, list(end.rows)] for twist, end in by_end], axis=2)
+        while free and np.linalg.matrix_rank(motions[:, free], tol=_IDLE).max() < len(free):
+            null = np.abs(np.linalg.svd(motions[0, free])[0][:, -1])
+            idle.append(self.moving[free.pop(int(null.argmax()))].name)
         return idle
-
-    def _motions(self, joints: Array) -> Array:
-        """Return the Jacobian of all ends by the moving joints, shape (N, m, n_joints), [m] or [1].
-
-        The rows of an end are those that it closes: the velocity of its origin, then its angular
-        velocity times the leg's size. ``joints`` are positions, shape (N, n_joints), [rad] or [m].
-        """
-        T, rows = self.link_placements(joints), []
-        for end in self.every_end:
-            motions = np.zeros((2, len(joints), 3, len(self.moving)))
-            tips, frames = T[:, self.index(end.tip), :3, 3], np.eye(3)
-            if isinstance(end.meets, str):
-                frames = T[:, self.index(end.meets), :3, :3]
-            for sign, name in zip((1.0, -1.0), end.frames, strict=False):
-                for place in self.path(name):
-                    if (joint := self.joints[place]).kind == "fixed":
-                        continue
-                    column = [moving.name for moving in self.moving].index(joint.leader.joint)
-                    axis = joint.leader.ratio * (T[:, place, :3, :3] @ joint.axis)
-                    along = np.cross(axis, tips - T[:, place, :3, 3]) if joint.turns else axis
-                    motions[0, :, :, column] += sign * along
-                    motions[1, :, :, column] += sign * self.size * axis * joint.turns
-            twists = np.concatenate(np.swapaxes(frames, -1, -2) @ motions, axis=1)
-            rows.append(twists[:, list(end.rows)])
-        return np.concatenate(rows, axis=1)
 
     @cached_property
     def every_end(self) -> tuple[End, ...]:
@@ -341,6 +325,17 @@ class Leg:
                 T_base_link = T_base_link @ joint.motion(joint.position(positions))
             placements.append(T_base_link)
         return np.stack(placements, axis=1)
+
+    def ends_at(self, joints: Array) -> Array:
+        """Return the tips of k ends in the frames of the leg that they meet, or in the base's.
+
+        Shape (k, N, 4, 4); ``joints`` are positions of the moving joints, shape (N, n_joints).
+        """
+        T, ends = self.link_placements(joints), []
+        for end in self.every_end:
+            tip, *frame = (T[:, self.index(name)] for name in end.frames)
+            ends.append(np.linalg.solve(*frame, tip) if frame else tip)
+        return np.stack(ends)
 
     @cached_property
     def scales(self) -> Array:
