@@ -29,7 +29,7 @@ from pincal.kinematics.batches import (
     turned,
 )
 from pincal.kinematics.chain import Chain, PlatformPoint, leg_chain, motion, platform_point
-from pincal.kinematics.forest import Motion, wrench
+from pincal.kinematics.forest import Motion
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform

@@ -14,15 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.model.checks import (
-    array_of,
-    must_be,
-    names_of,
-    numbers_of,
-    one_line,
-    triple,
-    wrapped,
-)
+from pincal.model.checks import array_of, must_be, names_of, numbers_of, one_line, triple, wrapped
 from pincal.types import Array
 
 if TYPE_CHECKING:

@@ -32,14 +32,7 @@ from pincal.workspace.criteria import (
     criteria_of,
     refuse_readings,
 )
-from pincal.workspace.grid import (
-    BLOCK,
-    Carrier,
-    Grid,
-    edges,
-    lowest,
-    part_around,
-)
+from pincal.workspace.grid import BLOCK, Carrier, Grid, edges, lowest, part_around
 
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
 _CHUNK = 1 << 22  # poses tested at a time if legs have closed forms
