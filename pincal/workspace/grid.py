@@ -40,7 +40,6 @@ DIMENSIONS = {
 #: Angles that are periodic by a full turn.
 TURNING = ("bearing", "phi", "azimuth", "torsion", "yaw", "roll")
 POSITION_AXES = ("x", "y", "radius", "bearing", "z")
-BLOCK = 1 << 17  # positions, or pairs of position and orientation, in memory at a time
 _MOST = 1_000_000_000  # largest number of positions, a byte each
 _ACROSS = {2: 200, 3: 60}  # steps of a default grid across the box, in the plane and in space
 _CLOSER = 0.8  # part of a grid's extent below which a closer grid is worth while

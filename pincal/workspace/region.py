@@ -32,10 +32,10 @@ from pincal.workspace.criteria import (
     criteria_of,
     refuse_readings,
 )
-from pincal.workspace.grid import BLOCK, Carrier, Grid, edges, lowest, part_around
+from pincal.workspace.grid import Carrier, Grid, edges, lowest, part_around
 
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
-_CHUNK = 1 << 22  # poses tested at a time if legs have closed forms
+BLOCK = 1 << 17  # pairs of position and orientation in memory at a time
 _NEARLY, _CELL = 1e-4, 0.1  # [m] or [rad], and over a step: tolerance of a symmetry
 _FIRST = 16  # orientations in the first round of closing legs; each round has 8 times as many
 
@@ -52,14 +52,6 @@ class PositionTest:
         self.in_closed_form = self._criteria.in_closed_form
         """Whether closed forms decide, so that no leg needs to be closed."""
 
-    def __call__(self, positions: Array) -> Mask:
-        """Return the mask, shape (N,), of the positions, shape (N, 3), that count."""
-        inside = np.empty(len(positions), dtype=bool)
-        step = max(1, BLOCK // len(self.orientations))
-        for begin in range(0, len(positions), step):
-            inside[begin : begin + step] = self._decided(positions[begin : begin + step])
-        return inside
-
     @cached_property
     def _turns(self) -> tuple[Array, list[Array]]:
         """Orientations as matrices, (O, 3, 3), decisive ones first, and turned platform points."""
@@ -70,8 +62,11 @@ class PositionTest:
         R = rotations.as_matrix()[np.argsort(-far if self.every else far, kind="stable")]
         return R, [(R @ reach.point).T for reach in self._criteria.reaches]
 
-    def _decided(self, positions: Array) -> Mask:
-        """Return the mask of the positions that count, by closed forms and then by closing legs."""
+    def __call__(self, positions: Array) -> Mask:
+        """Return the mask, shape (N,), of the positions, shape (N, 3), that count.
+
+        Closed forms decide, then legs are closed. Memory grows with positions times orientations.
+        """
         R, arms = self._turns
         alive, possible = np.arange(len(positions)), np.ones((len(positions), len(R)), dtype=bool)
         for reach, arm in zip(self._criteria.reaches, arms, strict=True):
@@ -275,27 +270,27 @@ def compute_workspace(
         if len(nearly) > len(elements):
             group, elements, exact = near, nearly, False
     unused = tuple(e for e in group if e not in elements)
-    size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(orientations)))
-    inside, asked, computed = *np.zeros((2, grid.size), dtype=bool), 0
+    size, computed = max(1, BLOCK // len(orientations)), np.zeros(grid.size, dtype=bool)
+    inside = np.zeros(grid.size, dtype=bool)
     for begin in range(0, grid.size, size):
-        end = min(begin + size, grid.size)
-        index = np.arange(begin, end)
+        index = np.arange(begin, min(begin + size, grid.size))
         first = lowest(elements.values(), index)  # computed in an earlier part, or in this one
         domain = index[first == index]
-        inside[domain], asked[domain] = test(grid.at(domain)), True
-        inside[begin:end] = inside[first]
-        computed += len(domain)
+        inside[domain], computed[domain] = test(grid.at(domain)), True
+        inside[index] = inside[first]
         if computing.progress:
-            computing.progress(end)
+            computing.progress(int(index[-1]) + 1)
     while not exact:  # a symmetry that nearly holds may move the border: compute it there
         border = np.unique(edges(grid, inside))
-        border = border[~asked[border]]
-        inside[border], asked[border] = test(grid.at(border)), True
-        computed, exact = computed + len(border), not len(border)
+        border = border[~computed[border]]
+        for part in np.split(border, range(size, len(border), size)):
+            inside[part], computed[part] = test(grid.at(part)), True
+        exact = not len(border)
     if computing.connected and inside.any():
         inside = part_around(grid, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
-    return Workspace(kind, test, grid, inside, tuple(elements), unused, computed)
+    used, count = tuple(elements), int(np.count_nonzero(computed))
+    return Workspace(kind, test, grid, inside, used, unused, count)
 
 
 def _orientations(
