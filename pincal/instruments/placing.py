@@ -66,7 +66,8 @@ def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, 
     place = np.concatenate((bundle.solution(turn)[0], turn))
     if points is not None:
         return place, points
-    return place, _Rays(T, rays, None).points_from(place)
+    found = _Rays(T, rays, None).solution(turn, place[:3])[1]
+    return place, np.where(counts.sum(axis=0)[:, None] > 1, found, np.nan)
 
 
 class _Rays:
@@ -77,39 +78,31 @@ class _Rays:
         self.seen = np.isfinite(rays[..., 0])
         self.rays = np.where(self.seen[:, :, None], rays, 0.0)
 
-    def _across(self, turn: Array) -> Array:
-        """Return the projectors across the rays, shape (N, M, 3, 3); zero where not seen."""
-        e = self.rays @ Rotation.from_rotvec(turn).as_matrix().T
-        across = np.eye(3) - e[..., :, None] * e[..., None, :]
-        return np.where(self.seen[:, :, None, None], across, 0.0)
+    def solution(self, turn: Array, place: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return the camera's position, the points (M, 3), and the misses of rays (N, M, 3).
 
-    def solution(self, turn: Array) -> tuple[Array, Array, Array]:
-        """Return the camera's position, the points (M, 3), and the misses of rays (N, M, 3)."""
-        A, (R, t) = self._across(turn), (self.T[:, :3, :3], self.T[:, :3, 3])
-        M = A.shape[1]
-        AR = A @ R[:, None]
-        if self.points is not None:
-            fixed = (R @ self.points.T).transpose(0, 2, 1) + t[:, None]
-            b = (A @ fixed[..., None]).sum(axis=(0, 1))[:, 0]
-            place = np.linalg.lstsq(A.sum(axis=(0, 1)), b, rcond=1e-9)[0]
-            return place, self.points, (A @ (fixed - place)[..., None])[..., 0]
-        normal, right = np.zeros((M + 1, 3, M + 1, 3)), np.zeros((M + 1, 3))
-        normal[0, :, 0] = A.sum(axis=(0, 1))
-        A_t = (A @ t[:, None, :, None])[..., 0]
-        right[0] = A_t.sum(axis=(0, 1))
-        coupled, RT, m = AR.sum(axis=0), R.transpose(0, 2, 1)[:, None], np.arange(1, M + 1)
-        normal[m, :, m] = (RT @ AR).sum(axis=0)
+        Position and points that are not known are found by least squares.
+        """
+        R, t, e = self.T[:, :3, :3], self.T[:, :3, 3], self.rays @ _matrix(turn).T
+        across = np.eye(3) - e[..., :, None] * e[..., None, :]  # projectors across the rays
+        A = np.where(self.seen[:, :, None, None], across, 0.0)
+        AR, RT, m = A @ R[:, None], R.transpose(0, 2, 1)[:, None], np.arange(1, A.shape[1] + 1)
+        x, normal = np.full((len(m) + 1, 3), np.nan), np.zeros((len(m) + 1, 3, len(m) + 1, 3))
+        x[0], x[1:] = (np.nan if known is None else known for known in (place, self.points))
+        A_t, coupled = (A @ t[:, None, :, None])[..., 0], AR.sum(axis=0)
+        right = np.vstack((A_t.sum(axis=(0, 1)), -(RT @ A_t[..., None]).sum(axis=0)[..., 0]))
+        normal[0, :, 0], normal[m, :, m] = A.sum(axis=(0, 1)), (RT @ AR).sum(axis=0)
         normal[0, :, m], normal[m, :, 0] = -coupled, -coupled.transpose(0, 2, 1)
-        right[1:] = -(RT @ A_t[..., None]).sum(axis=0)[..., 0]
-        size = 3 * (M + 1)
-        x = np.linalg.lstsq(normal.reshape(size, size), right.ravel(), rcond=1e-9)[0].reshape(-1, 3)
+        free, square = np.isnan(x).ravel(), normal.reshape(x.size, x.size)
+        right_free = (right.ravel() - square @ np.nan_to_num(x).ravel())[free]
+        x[np.isnan(x)] = np.linalg.lstsq(square[np.ix_(free, free)], right_free, rcond=1e-9)[0]
         y = (R @ x[1:].T).transpose(0, 2, 1) + (t - x[0])[:, None]
         return x[0], x[1:], (A @ y[..., None])[..., 0]
 
     def cost(self, turn: Array) -> float:
         """Return the median distance of rays from their points; infinite if most are behind."""
         place, points, missed = self.solution(turn)
-        e = self.rays @ Rotation.from_rotvec(turn).as_matrix().T
+        e = self.rays @ _matrix(turn).T
         y = (self.T[:, :3, :3] @ points.T).transpose(0, 2, 1) + (self.T[:, :3, 3] - place)[:, None]
         ahead = np.einsum("nmi,nmi->nm", e, y)[self.seen] > 0.0
         if ahead.mean() < 0.5:
@@ -129,15 +122,6 @@ class _Rays:
         usual = np.median(missed[self.seen])
         good = self.seen & (missed <= _GROSS * usual)
         return _Rays(self.T, np.where(good[:, :, None], self.rays, np.nan), self.points)
-
-    def points_from(self, place: Array) -> Array:
-        """Return points (M, 3) from the rays of a placed camera; NaN if seen once at most."""
-        A, R = self._across(place[3:]), self.T[:, None, :3, :3]
-        normal = (R.transpose(0, 1, 3, 2) @ A @ R).sum(axis=0)
-        offset = (place[:3] - self.T[:, :3, 3])[:, None, :, None]
-        right = (R.transpose(0, 1, 3, 2) @ A @ offset).sum(axis=0)
-        points = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ right
-        return np.where(self.seen.sum(axis=0)[:, None] > 1, points[..., 0], np.nan)
 
 
 def board_in_camera(points: Array, rays: Array) -> Array | None:
@@ -177,6 +161,10 @@ def by_hand_eye(T: Array, boards: Array) -> tuple[Array, Array]:
     ends[:, :3, 3] = np.linalg.lstsq(A, b, rcond=None)[0].reshape(2, 3)
     camera, board = np.linalg.inv(ends)
     return camera, board
+
+
+def _matrix(turn: Array) -> Array:
+    return Rotation.from_rotvec(turn).as_matrix()
 
 
 def _after(step: Array, turn: Array) -> Array:

@@ -333,8 +333,8 @@ class Leg:
         """
         T, ends = self.link_placements(joints), []
         for end in self.every_end:
-            tip, *frame = (T[:, self.index(name)] for name in end.frames)
-            ends.append(np.linalg.solve(*frame, tip) if frame else tip)
+            tip, *met = (T[:, self.index(name)] for name in end.frames)
+            ends.append(np.linalg.solve(met[0], tip) if met else tip)
         return np.stack(ends)
 
     @cached_property
