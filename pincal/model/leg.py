@@ -70,18 +70,14 @@ class Leg:
     def __repr__(self) -> str:
         reads = f"reads {listed(sensor.joint for sensor in self.sensors)}"
         count = counted(len(self.parameters), "parameter")
-        return one_line("Leg", repr(self.name), self.joint_letters, reads, self.closing, count)
+        letters = "".join("R" if joint.turns else "P" for joint in self.articulated)
+        return one_line("Leg", repr(self.name), letters, reads, self.closing, count)
 
     @property
     def closing(self) -> str:
         """What the leg closes, in words: ``closes a point and 1 further end``."""
         further = counted(len(self.ends), "further end")
         return f"closes a {self.closes}" + f" and {further}" * bool(self.ends)
-
-    @property
-    def joint_letters(self) -> str:
-        """Kinds of the joints that move, base first: R for revolute, P for prismatic."""
-        return "".join("R" if joint.turns else "P" for joint in self.articulated)
 
     @cached_property
     def moving(self) -> tuple[Joint, ...]:
@@ -96,8 +92,7 @@ class Leg:
     @cached_property
     def active(self) -> list[int]:
         """Indices of the active joints among the moving joints, in the order of the sensors."""
-        names = [joint.name for joint in self.moving]
-        return [names.index(sensor.joint) for sensor in self.sensors]
+        return [list(self.homes).index(sensor.joint) for sensor in self.sensors]
 
     @cached_property
     def passive(self) -> list[int]:
@@ -388,14 +383,12 @@ class Leg:
 
     def with_limits(self, limits: Mapping[str, tuple[float, float]]) -> Leg:
         """Return the leg with other limits of some joints, by name, [rad] or [m]."""
-        ends = (
-            (joint, limits.get(joint.name, (joint.lower, joint.upper))) for joint in self.joints
-        )
-        joints = tuple(replace(joint, lower=low, upper=high) for joint, (low, high) in ends)
-        return replace(self, joints=joints)
+        ends = (limits.get(joint.name, (joint.lower, joint.upper)) for joint in self.joints)
+        pairs = zip(self.joints, ends, strict=True)
+        return replace(self, joints=tuple(replace(j, lower=a, upper=b) for j, (a, b) in pairs))
 
     def with_home(self, positions: Sequence[float] | Array) -> Leg:
         """Return the leg with other home positions of its moving joints, [rad] or [m]."""
-        home = dict(zip((j.name for j in self.moving), map(float, positions), strict=True))
+        home = dict(zip(self.homes, map(float, positions), strict=True))
         joints = tuple(replace(j, home=home.get(j.name, j.home)) for j in self.joints)
         return replace(self, joints=joints)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
@@ -22,6 +22,13 @@ EVERY_LEG = "all"
 VERIFY = "verify"
 SMALLEST_SIGMA = 1e-50
 """Smallest standard deviation, [m] or [rad], whose weights do not overflow; 0 means exact."""
+_ROWS, _READ = ("N", "dof"), ("N", "n_readings")
+_SHAPES = {"poses": _ROWS, "readings": _READ, "sigma_poses": _ROWS, "sigma_readings": _READ}
+_NAMES, _COLUMNS = ("sets", "places", "runs"), ("influences", "contacts", "extra", "sigma_extra")
+
+
+def _column_of(values: Any, count: int, label: str, error_type: type[MeasurementError]) -> Array:
+    return array_of(values, (count,), label, error_type)
 
 
 @dataclass(frozen=True)
@@ -97,34 +104,19 @@ class Plan:
     the rows were not read from a file."""
 
     def __post_init__(self) -> None:
-        poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
-        object.__setattr__(self, "poses", poses)
-        self._check({"readings": ("n_readings",)}, ("sets", "places"), ("influences",))
-        touched = must_be(self.contacts, Mapping, "contacts", MeasurementError).items()
-        contacts = {
-            n: names_of(p, len(self), f"contacts {n!r}", MeasurementError) for n, p in touched
-        }
-        object.__setattr__(self, "contacts", contacts)
-
-    def _check(
-        self,
-        arrays: Mapping[str, tuple[int | str, ...]],
-        names: Sequence[str],
-        columns: Sequence[str],
-    ) -> None:
-        """Convert fields to arrays, tuples of names and mappings of arrays, one entry per pose."""
-        count = len(self.poses)
-        for name in (*arrays, *names, *columns):
-            values = getattr(self, name)
-            if name in columns:
-                values = {
-                    column: array_of(entries, (count,), f"{name} {column!r}", MeasurementError)
-                    for column, entries in must_be(values, Mapping, name, MeasurementError).items()
-                }
-            elif values is not None and name in names:
-                values = names_of(values, count, name, MeasurementError)
-            elif values is not None:
-                values = array_of(values, (count, *arrays[name]), name, MeasurementError)
+        """Convert fields to arrays, tuples of names, and mappings of these, with N entries each."""
+        error, sizes = MeasurementError, dict[str, int]()
+        for name, values in list(vars(self).items()):
+            if name in _SHAPES and (values is not None or name == "poses"):
+                shape = tuple(sizes.get(letter, letter) for letter in _SHAPES[name])
+                values = array_of(values, shape, name, error)
+                sizes |= zip(_SHAPES[name], values.shape, strict=True)
+            elif name in _NAMES and values is not None:
+                values = names_of(values, sizes["N"], name, error)
+            elif name in _COLUMNS:
+                columns = must_be(values, Mapping, name, error).items()
+                count, check = sizes["N"], names_of if name == "contacts" else _column_of
+                values = {key: check(c, count, f"{name} {key!r}", error) for key, c in columns}
             object.__setattr__(self, name, values)
 
     @staticmethod
@@ -264,14 +256,8 @@ class Measurements(Plan):
     """Run of the experiment to which each row belongs, if there were several runs."""
 
     def __post_init__(self) -> None:
+        array_of(self.readings, _READ, "readings", MeasurementError)  # they are needed
         super().__post_init__()
-        dof = self.poses.shape[1]
-        array_of(self.readings, ("N", "n_readings"), "readings", MeasurementError)
-        self._check(
-            {"sigma_poses": (dof,), "sigma_readings": (self.readings.shape[1],)},
-            ("runs",),
-            ("extra", "sigma_extra"),
-        )
 
     @staticmethod
     @attached

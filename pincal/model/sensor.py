@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -98,8 +98,9 @@ class SensorLaw:
         slopes = np.tile(self.slope, (len(known), 1))
         for placed in self.terms:
             if placed.column < len(self.slope):
-                slope = placed.term.slope_of(known[:, placed.column])
-                slopes[:, placed.target] += placed.amplitude * slope
+                basis: Any = placed.term.basis
+                slope = placed.term.slope or basis.slope
+                slopes[:, placed.target] += placed.amplitude * slope(known[:, placed.column])
         return slopes
 
     @cached_property

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -161,13 +161,6 @@ class Term:
                 f"term {self.parameter!r} has no slope; give db/dψ as Term(…, slope=…), or a basis "
                 "with a method slope"
             )
-
-    @property
-    def slope_of(self) -> Callable[[Array], Array]:
-        """The derivative db/dψ, by ``slope`` or the basis."""
-        basis: Any = self.basis
-        slope: Callable[[Array], Array] = self.slope or basis.slope
-        return slope
 
     def column(self, owner: str) -> str:
         """Return the influence's column; ``owner`` is the reading or parameter with the term."""
