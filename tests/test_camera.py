@@ -376,10 +376,10 @@ def test_a_camera_that_was_bumped_is_named(
     for pixels, rows in ((data.extra, ()), (extra, (10,))):
         seen = replace(data, readings=readings, extra=pixels)
         findings = pincal.calibrate("6UPS", seen, setup=setup, **known).findings
-        steps = [remark for remark in findings if "camera" in remark.values.get("quantity", "")]
+        steps = [remark for remark in findings if remark.values.get("what") == "camera"]
         assert [remark.rows for remark in steps] == [rows] * bool(rows)
     lengths = np.column_stack([*off.values()]) * still.metres_per_pixel(poses, np.empty(0))
-    assert steps[0].values["quantity"] == "what camera front sees"
+    assert steps[0].values["name"] == "front"
     size = np.sqrt(2.0 * np.mean(lengths[10:] ** 2))
     assert steps[0].values["size"] == pytest.approx(size, rel=0.2)
 

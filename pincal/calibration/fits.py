@@ -40,7 +40,7 @@ from pincal.words.wording import filled
 
 ROUNDS = 20  # largest number of alternations of fits with the noise, or with frames
 _HELD_MOST = 100.0  # how far machines differ over the standard error: such directions are free
-_PATIENCE = 250  # evaluations after which a search may be running away; twice as many if near
+_PATIENCE = 150  # evaluations after which a search may be running away; twice as many if near
 _REFITS = 5  # largest number of fits with estimated noise
 SETTLED = 1e-3  # relative change of an estimated standard deviation that is negligible
 
