@@ -415,7 +415,10 @@ MACHINES = {
 
 
 def configurations(mechanism: Mechanism, count: int) -> pincal.Plan:
-    """Return poses and readings about home, by forward kinematics."""
+    """Return poses and readings about home in which all legs close, by forward kinematics."""
+    exact = pincal.Noise(0.0, 0.0, 0.0)
+    if mechanism.constraints < mechanism.platform.dof:  # readings do not say where it is
+        return pincal.sample_configurations(mechanism, count)
     home = np.concatenate([leg.home[leg.active] for leg in mechanism.legs])
     turning = np.array([unit == "rad" for unit in mechanism.reading_units])
     reach = np.where(turning, 0.25, 0.1 * mechanism.size)
@@ -425,7 +428,9 @@ def configurations(mechanism: Mechanism, count: int) -> pincal.Plan:
         found = pincal.forward(mechanism, readings)
         rows = np.flatnonzero(found.converged)[:count]
         if len(rows) == count:
-            return pincal.Plan(found.poses[rows], readings=readings[rows])
+            plan = pincal.Plan(found.poses[rows], readings=readings[rows])
+            closed = pincal.simulate(mechanism, mechanism, plan, exact).measurements
+            return pincal.Plan(closed.poses, readings=closed.readings)
     raise ValueError(f"{mechanism.name} closes nowhere about home")
 
 

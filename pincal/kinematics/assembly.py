@@ -27,7 +27,7 @@ _STEPS, _LARGEST = 100, 0.3  # of Newton's method: how many, and how far at once
 _STARTS, _WIDEST = 32, 1.5  # further ones, and how far about what is drawn, [rad] or of the size
 _CLOSED = 1e-10  # gap, of the size, of what is closed
 _SINGULAR = 1e-10  # of singular values, over the size: none
-_ERRORS = 0.01  # singular value over the largest, below which errors of a machine make it
+_ERRORS = 1e-3  # singular values over the largest that errors of a machine make, or ten times it
 _CONFIGURATIONS, _ABOUT = 120, 0.3  # how many, and how far about home, [rad] or of the size
 _GRIP = 0.1  # of what passive joints usually move ends by: with less, closings are singular
 _IDLE = 1e-4  # of singular values, over the size: joints that do not move ends so far, do not
@@ -110,7 +110,7 @@ def mobility(mechanism: Mechanism) -> int:
     rows = _linearised(nominal_legs(mechanism), home, joints)[1][0]
     lengths = np.linalg.norm(rows, axis=0)
     sizes = np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
-    return rows.shape[1] - int((sizes > _ERRORS * sizes[0]).sum())
+    return rows.shape[1] - int((sizes > cut_in_gap(sizes, _ERRORS * sizes[0])).sum())
 
 
 def _parts(closures: Sequence[LegClosure], joints: Array) -> list[Array]:
@@ -169,22 +169,26 @@ def _closed(
     turning = [unit == "rad" for unit in platform.units]
     turning += [joint.turns for closure in closures for joint in closure.leg.moving]
     scale = np.where(turning, 1.0, size)
+    poses, joints, moving = poses.copy(), joints.copy(), np.arange(len(joints))
+    largest = np.empty(len(joints))
     for step in range(_STEPS):
-        gaps, J = _linearised(closures, poses, joints)
+        gaps, J = _linearised(closures, poses[moving], joints[moving])
         u, values, vt = np.linalg.svd(J * scale / size, full_matrices=False)
         cuts = np.array([[cut_in_gap(of_row, least)] for of_row in values])
         with np.errstate(divide="ignore"):
             inverse = np.where(values > cuts, 1.0 / values, 0.0)[:, :, None]
         along = inverse * (u.transpose(0, 2, 1) @ gaps[:, :, None] / size)
         steps = -scale * (vt.transpose(0, 2, 1) @ along)[:, :, 0]
-        largest, longest = np.abs(gaps).max(axis=1), np.abs(steps).max(axis=1)
-        if ((largest <= ROUNDING * size) | (longest <= ROUNDING * max(1.0, size))).all():
+        largest[moving], longest = np.abs(gaps).max(axis=1), np.abs(steps).max(axis=1)
+        far = (largest[moving] > ROUNDING * size) & (longest > ROUNDING * max(1.0, size))
+        if not far.any():
             break
         steps *= np.minimum(1.0, _LARGEST * max(1.0, size) / np.maximum(longest, 1e-300))[:, None]
-        twists, moves = np.split(steps, [platform.dof], axis=1)
-        poses, joints = platform.displaced(poses, twists), joints + moves
+        moving, (twists, moves) = moving[far], np.split(steps[far], [platform.dof], axis=1)
+        poses[moving] = platform.displaced(poses[moving], twists)
+        joints[moving] += moves
         if limits and step < _STEPS // 2:
-            joints = np.clip(joints, *limits)
+            joints[moving] = np.clip(joints[moving], *limits)
     middle = np.concatenate([joint_range(closure.leg) for closure in closures], axis=1).mean(axis=0)
     turns = np.round((joints - middle) / (2 * np.pi)) * turning[platform.dof :]
     return poses, joints - 2 * np.pi * turns, largest

@@ -19,6 +19,7 @@ import numpy as np
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
+from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.identifiable import DIFFER, changes_of
 from pincal.estimation.problem import LegBlock, Linear, Problem
 from pincal.estimation.start import aligned, placed
@@ -30,7 +31,7 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import inverse
 from pincal.kinematics.forward import forward
 from pincal.kinematics.singularity import margins
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.relations import ORIGIN
 from pincal.model.setup import Setup, Target
@@ -93,7 +94,7 @@ class Case:
         target = replace(target, unknown=target.unknown and free)
         most = _ROWS if oriented and not free else _ROWS_FORWARD
         setup = Setup(unknown_frame=free, targets={ORIGIN: target})
-        noise = Noise(PRECISE * mechanism.size, PRECISE)
+        noise = assumed_noise(mechanism, exact=True)
         bare = Measurements(
             poses, readings=data.readings, influences=data.influences, written=data.written
         )
