@@ -417,20 +417,19 @@ MACHINES = {
 def configurations(mechanism: Mechanism, count: int) -> pincal.Plan:
     """Return poses and readings about home in which all legs close, by forward kinematics."""
     exact = pincal.Noise(0.0, 0.0, 0.0)
-    if mechanism.constraints < mechanism.platform.dof:  # readings do not say where it is
-        return pincal.sample_configurations(mechanism, count)
     home = np.concatenate([leg.home[leg.active] for leg in mechanism.legs])
     turning = np.array([unit == "rad" for unit in mechanism.reading_units])
     reach = np.where(turning, 0.25, 0.1 * mechanism.size)
     shares = np.random.default_rng(3).uniform(-1.0, 1.0, (2 * count, len(home)))
     for nearer in 0.5 ** np.arange(6):
         readings = home + nearer * reach * shares
-        found = pincal.forward(mechanism, readings)
-        rows = np.flatnonzero(found.converged)[:count]
-        if len(rows) == count:
-            plan = pincal.Plan(found.poses[rows], readings=readings[rows])
-            closed = pincal.simulate(mechanism, mechanism, plan, exact).measurements
-            return pincal.Plan(closed.poses, readings=closed.readings)
+        poses = np.tile(mechanism.platform.home, (2 * count, 1))
+        if mechanism.constraints >= mechanism.platform.dof:  # else a pose nearby is taken
+            poses = pincal.forward(mechanism, readings).poses
+        plan = pincal.Plan(poses, readings=readings).rows(np.isfinite(poses).all(axis=1))
+        closed = pincal.simulate(mechanism, mechanism, plan, exact).measurements
+        if len(closed) >= count:
+            return pincal.Plan(closed.poses[:count], readings=closed.readings[:count])
     raise ValueError(f"{mechanism.name} closes nowhere about home")
 
 
