@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import lazy_loader
 import numpy as np
@@ -25,10 +25,7 @@ from pincal.files.yaml import Entry, Readers, read_yaml
 from pincal.model.checks import count_of
 from pincal.types import Array
 
-if TYPE_CHECKING:
-    import cv2
-else:
-    cv2 = lazy_loader.load("cv2")
+cv2: Any = lazy_loader.load("cv2")  # imported at the first use
 
 BoardKind: TypeAlias = Literal["charuco", "chessboard", "aruco", "apriltag", "markers"]
 CHEQUERED = ("charuco", "chessboard")

@@ -20,9 +20,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Picture
@@ -30,15 +29,10 @@ from scipy.special import erf
 
 from pincal.errors import MeasurementError
 from pincal.files.text import read_bytes
-from pincal.instruments.board import CHEQUERED, Board, marker_dictionary
+from pincal.instruments.board import CHEQUERED, Board, cv2, marker_dictionary
 from pincal.instruments.camera import SMALLEST_WINDOW, windows
 from pincal.model.checks import listed
 from pincal.types import Array
-
-if TYPE_CHECKING:
-    import cv2
-else:
-    cv2 = lazy_loader.load("cv2")
 
 Picture8: TypeAlias = NDArray[np.uint8]
 _EXPOSURE, _TAKEN, _FRACTION, _CHANGED = 0x8769, 0x9003, 0x9291, 0x0132  # EXIF

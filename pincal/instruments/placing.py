@@ -11,19 +11,12 @@ Hand–eye calibration is given for comparison: it takes the nominal machine as 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import lazy_loader
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from pincal.instruments.board import cv2
 from pincal.types import Array
-
-if TYPE_CHECKING:
-    import cv2
-else:
-    cv2 = lazy_loader.load("cv2")
 
 _POINTS, _POSES = 8, 40  # most points and poses in the search of a rotation
 _BEST = 3  # number of rotations of the cube that are refined
