@@ -1,16 +1,16 @@
-"""Points of boards in photos: where they are, how sure that is, and which were left out and why.
+"""Points of boards in photos, with standard deviations, and the reasons of points left out.
 
-Markers, or the corners of a chessboard, tell roughly where a board is: a homography from the
-nearest of them predicts each point. There a corner with straight, blurred edges is fitted to the
-grey values p of a window by least squares,
+Markers, or the corners of a chessboard, locate a board roughly: a homography from the nearest of
+them predicts each point. There the model of a corner with straight, blurred edges is fitted by
+least squares to the grey values of a window at pixels p,
 
         I(p) = a + b (E₁ E₂ + 4 s)  of a saddle,  a + b ((1 + E₁)(1 + E₂) / 4 + s)  of a marker,
         Eᵢ = erf(dᵢ / √2),    dᵢ = nᵢᵀ(p − c) / w,    s = ρ φ(d₁) φ(d₂) (1 + ρ d₁ d₂ / 2 + …),
 
-with the place c, the normals nᵢ of the edges, the blur w, and grey values a and b unknown; s is the
-tetrachoric series of a blurred corner that is not square, ρ = n₁ᵀn₂ (K. Pearson 1900). The
-standard deviation of c is that of the fit: residual variance times (JᵀJ)⁻¹, larger where residuals
-of neighbouring pixels are alike, as sharpened and compressed ones are.
+with unknown place c, normals nᵢ of the edges, blur w, and grey values a and b; s is the tetrachoric
+series of a blurred corner that is not square, ρ = n₁ᵀn₂ (K. Pearson 1900). The standard deviation
+of c is the residual variance times (JᵀJ)⁻¹, enlarged where residuals of neighbouring pixels are
+correlated, as in sharpened and compressed photos.
 """
 
 from __future__ import annotations
@@ -37,52 +37,52 @@ from pincal.types import Array
 Picture8: TypeAlias = NDArray[np.uint8]
 _EXPOSURE, _TAKEN, _FRACTION, _CHANGED = 0x8769, 0x9003, 0x9291, 0x0132  # EXIF
 _LARGEST = 2**28  # bytes of a photo's file
-_LARGEST_WINDOW = 10  # half its side [px]
+_LARGEST_WINDOW = 10  # half the side of a window [px]
 _NEAREST = 16  # corners of markers that predict a point
-_STEPS = 25
-_SIDE = 480  # of a small picture [px]
-#: Beyond which a corner is doubtful: misfit of its grey values over its contrast, contrast over the
-#: range of grey values, standard deviation [px], blur over half the window.
+_STEPS = 25  # largest number of Levenberg-Marquardt steps
+_SIDE = 480  # side of a small picture [px]
+#: Limits of good corners: misfit of grey values over the contrast, contrast over the range of grey
+#: values, standard deviation [px], blur over half the window.
 _MISFIT, _CONTRAST, _SIGMA, _BLUR = 0.12, 0.04, 0.3, 0.5
-_MODEL = 0.002  # [px] what is missed without noise: pixels are squares, lenses bend edges
-_BLURRED = 2.0  # times the usual blur, from which a photo is left out
-_SHARP = 1.5  # [px] blur that leaves no photo out
+_MODEL = 0.002  # error of the model without noise [px]: pixels are squares, lenses bend edges
+_BLURRED = 2.0  # blur over the median blur, above which a photo is left out
+_SHARP = 1.5  # blur with which no photo is left out [px]
 
 
 @dataclass
 class PhotoPoints:
-    """What was seen in one photo."""
+    """Points of boards that one photo shows."""
 
     name: str
     size: tuple[int, int]
     """Width and height, [px]."""
     points: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    """u, v and their standard deviation by the name of the point, [px]; pixels' middles are whole
-    numbers."""
+    """u, v and their standard deviation by the name of the point, [px]; the middles of pixels have
+    whole numbers."""
     omitted: dict[str, tuple[float, float, str]] = field(default_factory=dict)
     """u, v and the reason of points that are left out."""
     reason: str = ""
-    """Why nothing of the photo is used, if so."""
+    """Reason why no point of the photo is used; empty if points are used."""
     blur: float = 0.0
-    """Standard deviation of the blur, median, [px]."""
+    """Median standard deviation of the blur, [px]."""
     taken: datetime | None = None
     small: Array = field(default_factory=lambda: np.empty((0, 0)))
-    """A small picture, to be looked at."""
+    """Small picture for the contact sheet, grey values."""
 
 
 def read_photo(path: Path) -> tuple[Array, datetime | None]:
     """Return grey values of a photo, black 0 and white 1, (height, width), and when it was taken.
 
-    As the sensor took it: a turn that the file asks viewers to make (EXIF) is not made, so that a
-    lens is the same in all photos.
+    The picture is as on the sensor: a turn that the file asks viewers to make (EXIF) is not made,
+    so that a lens is the same in all photos.
 
     Raises:
         FileError: the file is missing or too large.
         MeasurementError: it is no picture.
     """
-    marker_dictionary("4X4_50")  # is OpenCV there?
+    marker_dictionary("4X4_50")  # raises an error without OpenCV
     data = np.frombuffer(read_bytes(path, _LARGEST, MeasurementError), np.uint8)
-    try:  # OpenCV would print what its libraries say of a damaged file
+    try:  # OpenCV would print its libraries' messages on a damaged file
         with Picture.open(path) as file:
             file.verify()
     except (OSError, ValueError, SyntaxError):
@@ -106,7 +106,7 @@ def read_photo(path: Path) -> tuple[Array, datetime | None]:
 
 
 def points_in(boards: Sequence[Board], paths: Iterable[Path]) -> Iterator[PhotoPoints]:
-    """Yield what photos show of boards, one by one: see ``checked`` for all together."""
+    """Yield the points of boards in photos, photo by photo; then ``checked`` compares photos."""
     numbers = [number for board in boards for number in board.markers]
     if shared := sorted({n for n in numbers if numbers.count(n) > 1}):
         raise MeasurementError(
@@ -132,7 +132,7 @@ def points_in(boards: Sequence[Board], paths: Iterable[Path]) -> Iterator[PhotoP
 
 
 def checked(photos: Sequence[PhotoPoints]) -> None:
-    """Leave out photos that are blurred, or turned, beside most others."""
+    """Leave out photos that are blurred, or turned, compared with most others."""
     blurs = [photo.blur for photo in photos if photo.points]
     sizes = [photo.size for photo in photos]
     usual = max(sizes, key=sizes.count) if sizes else (0, 0)
@@ -148,14 +148,14 @@ def checked(photos: Sequence[PhotoPoints]) -> None:
 
 
 def _see(board: Board, grey: Array, result: PhotoPoints, blurs: list[float]) -> str:
-    """Add the points of a board that a photo shows; return why there are none."""
+    """Add the points of a board in a photo to the result; return the reason if there are none."""
     picture = np.clip(grey * 255.0, 0, 255).astype(np.uint8)
     anchors = _chessboard(board, picture) if not board.markers else _markers(board, picture)
     if isinstance(anchors, str):
         return anchors
     on_board, in_image = anchors
     names, places = list(board.points), np.array(list(board.points.values()))[:, :2] / board.scale
-    if board.kind not in CHEQUERED:  # of markers that were found, and of no others
+    if board.kind not in CHEQUERED:  # only corners of markers that were found
         near = np.abs(places[:, None] - on_board).max(axis=2).min(axis=1) < 1e-9
         names, places = [n for n, ok in zip(names, near, strict=True) if ok], places[near]
     count = 4 if board.kind == "markers" else _NEAREST
@@ -185,7 +185,7 @@ def _see(board: Board, grey: Array, result: PhotoPoints, blurs: list[float]) -> 
 
 
 def _markers(board: Board, picture: Picture8) -> tuple[Array, Array] | str:
-    """Return corners of markers that lie as on the board: places there, and pixels."""
+    """Return places on the board, and pixels, of corners of markers that lie as on the board."""
     corners, numbers = _detected(board.dictionary, picture)
     known = [i for i, number in enumerate(numbers) if number in board.markers]
     on_board = np.array([board.markers[numbers[i]] for i in known]).reshape(-1, 4, 2)
@@ -203,7 +203,7 @@ def _markers(board: Board, picture: Picture8) -> tuple[Array, Array] | str:
 
 
 def _detected(dictionary: str, picture: Picture8) -> tuple[list[Array], list[int]]:
-    """Return corners, (4, 2) each, and numbers of the markers of a dictionary in a picture."""
+    """Return the corners, (4, 2) each, and numbers of a dictionary's markers in a picture."""
     settings = cv2.aruco.DetectorParameters()
     settings.minMarkerPerimeterRate = 0.015
     detector = cv2.aruco.ArucoDetector(marker_dictionary(dictionary), settings)
@@ -213,7 +213,7 @@ def _detected(dictionary: str, picture: Picture8) -> tuple[list[Array], list[int
 
 
 def _why_nothing(board: Board, picture: Picture8, numbers: Sequence[int]) -> str:
-    """Return why a photo shows no marker of a board."""
+    """Return the reason why no marker of a board was found in a photo."""
     mirrored = _detected(board.dictionary, np.ascontiguousarray(picture[:, ::-1]))[1]
     if len(mirrored) > max(2, len(numbers)):
         return "markers are mirrored: print the board, or take the photo, the right way round"
@@ -229,7 +229,7 @@ def _why_nothing(board: Board, picture: Picture8, numbers: Sequence[int]) -> str
 
 
 def _chessboard(board: Board, picture: Picture8) -> tuple[Array, Array] | str:
-    """Return corners of a chessboard, on the board and in pixels, which way up by its colours."""
+    """Return places and pixels of a chessboard's corners; its colours tell which way is up."""
     columns, rows = board.squares[0] - 1, board.squares[1] - 1
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE
     ok, corners = cv2.findChessboardCornersSB(picture, (columns, rows), flags=flags)
@@ -239,12 +239,12 @@ def _chessboard(board: Board, picture: Picture8) -> tuple[Array, Array] | str:
         return f"no chessboard with {columns}x{rows} corners is found as a whole"
     grid = corners.reshape(rows, columns, 2).astype(float)
     across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    if across[0] * down[1] - across[1] * down[0] < 0.0:  # of what no mirror shows, as in images
+    if across[0] * down[1] - across[1] * down[0] < 0.0:  # count as in an image that is not mirrored
         grid = grid[::-1]
     places = np.array(list(board.points.values()))[:, :2] / board.scale
     middle = grid[:2, :2].mean(axis=(0, 1)), grid[:2, 1:3].mean(axis=(0, 1))
     (u0, v0), (u1, v1) = np.rint(middle).astype(int)
-    if picture[v0, u0] > picture[v1, u1]:  # that square is black as the upper left one is
+    if picture[v0, u0] > picture[v1, u1]:  # the upper left square is black
         grid = grid[::-1, ::-1]
     return places, grid.reshape(-1, 2)
 
@@ -252,7 +252,7 @@ def _chessboard(board: Board, picture: Picture8) -> tuple[Array, Array] | str:
 def _predicted(places: Array, on_board: Array, in_image: Array, count: int) -> tuple[Array, Array]:
     """Return pixels of places on the board, (n, 2), and their derivatives, (n, 2, 2), [px/m].
 
-    By a homography of each, from the nearest of points whose pixels are known.
+    Each place has a homography of its own, from the nearest points with known pixels.
     """
     starts, slopes = np.empty((len(places), 2)), np.empty((len(places), 2, 2))
     for i, place in enumerate(places):
@@ -265,7 +265,7 @@ def _predicted(places: Array, on_board: Array, in_image: Array, count: int) -> t
 
 
 class _Corners:
-    """Corners in the grey values of a photo, and their fit: see the module."""
+    """Windows of a photo around corners, and the fit of the corners: see the module."""
 
     def __init__(
         self, grey: Array, starts: Array, directions: Array, half: Array, signs: Array
@@ -316,7 +316,7 @@ class _Corners:
         return x[:, 5:6] + b * shape, np.stack(columns, axis=2)
 
     def fitted(self, *, saddle: bool) -> Iterator[tuple[int, float, float, float, float, str]]:
-        """Yield number, u, v, standard deviation, blur, and why it is doubtful, of each corner."""
+        """Yield number, u, v, standard deviation, blur, and reason for doubt of each corner."""
         n, w = len(self.values), self.weights
         x = np.zeros((n, 7))
         x[:, 2], x[:, 3] = self.first, self.second
@@ -363,7 +363,7 @@ class _Corners:
 
 
 def _correlation_factor(residuals: Array) -> float:
-    """Return by how much more than white noise residuals of a photo's windows vary a fit."""
+    """Return the factor of the variance of a fit by correlated residuals, over white noise."""
     total, factor = (residuals**2).sum(), 1.0
     for axis in (1, 2):
         pairs = residuals * np.roll(residuals, 1, axis=axis)

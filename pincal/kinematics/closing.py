@@ -1,9 +1,9 @@
-"""Legs closed at poses, in their working modes, and what their sensors read there.
+"""Inverse kinematics of legs in their working modes, and the readings of their sensors.
 
-Newton's method on closure from a start in the mode, the sign of det ∂c/∂(θ, p) at home: by a
-closed form, or the nearest of sampled tips. A pose that a leg cannot reach in its mode is NaN,
-never a wrong branch. A homed sensor counts from the joint's position at the platform's home pose,
-which is a leg closed too.
+Newton's method closes a leg from a start in its working mode, which is the sign of det ∂c/∂(θ, p)
+at home. The start is a closed form or the nearest of sampled tips. Joints are NaN where a leg
+cannot reach the pose in its mode; another branch is never returned. A homed sensor counts from the
+joint's position at the platform's home pose, which is found by closing the leg there.
 """
 
 from __future__ import annotations
@@ -28,29 +28,29 @@ from pincal.types import Array, Mask
 Group = TypeVar("Group")
 
 _SAMPLES = 20_000
-_WAY, _ABOUT = 10, 0.3  # steps of a tree on its way from home, the largest, [rad] or of the size
-_ALIKE = 8  # nearest tips, of which that counts that is bent as home is
-_OUT_OF_REACH = 3.0  # times the widest gap between sampled tips: farther tips are out of reach
+_WAY, _ABOUT = 10, 0.3  # steps of a tree on its way from home; largest step, [rad] or of the size
+_ALIKE = 8  # nearest sampled tips, among which the one bent most as at home is the start
+_OUT_OF_REACH = 3.0  # reach around the sampled tips, over the widest gap between them
 
 
 def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tuple[Array, Mask]:
-    """Return joint positions near those that close the leg, and where that may be possible.
+    """Return joints from which to search, (N, n_joints), and the mask of poses within reach, (N,).
 
-    Shapes (N, n_joints), [rad] or [m], and (N,). Each attempt, from 0, gives another sampled start.
+    Each attempt, from 0, gives another sampled start. Positions are in [rad] or [m].
     """
     form = closed_form(closure)
     if form:
         joints, possible = form.joints(closure.targets(matrices))
         return joints, possible & (attempt == 0)
-    if closure.leg.ends:  # few of random positions are near such that close its loops
+    if closure.leg.ends:  # random positions rarely come near to closing its loops
         joints = _followed(closure, matrices)
         return joints, np.full(len(joints), attempt == 0)
     tree, joints, reach = _samples(closure.leg, closure.platform)
     turning = [i for i in closure.leg.passive if not closure.leg.moving[i].limited]
-    count = _ALIKE if turning and not attempt else 1  # of one mode, and yet bent otherwise
+    count = _ALIKE if turning and not attempt else 1  # a mode may have several solutions
     columns = list(range(attempt + 1, attempt + 1 + count))
     distance, nearest = tree.query(_places(closure, matrices), columns)
-    index = np.minimum(nearest, len(joints) - 1)  # none is near where a target is infinite
+    index = np.minimum(nearest, len(joints) - 1)  # an infinite target has no neighbour
     if count > 1:
         bent = np.abs(wrapped(joints[index][:, :, turning] - closure.leg.home[turning])).sum(axis=2)
         bent[distance > 2.0 * distance[:, :1] + reach / _OUT_OF_REACH] = np.inf
@@ -59,9 +59,10 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
 
 
 def _followed(closure: LegClosure, matrices: Array, active: Array | None = None) -> Array:
-    """Return joint positions that follow poses (N, 4, 4) on straight ways from home.
+    """Return joints that follow the platform on a straight way from home to poses (N, 4, 4).
 
-    So do active joints, (N, n_active), if given, and passive ones close the leg; else all do.
+    Passive joints close the leg on the way. Active joints go straight to ``active``, (N, n_active),
+    if it is given; otherwise they close the leg too.
     """
     leg, platform, count = closure.leg, closure.platform, len(matrices)
     homes, joints = np.tile(platform.home, (count, 1)), np.tile(leg.home, (count, 1))
@@ -70,7 +71,7 @@ def _followed(closure: LegClosure, matrices: Array, active: Array | None = None)
     if active is None:
         active, free = joints[:, leg.active], list(range(len(leg.moving)))
     ways = active - leg.home[leg.active]
-    for share in np.repeat((1.0, 0.0), _WAY) / _WAY:  # then joints settle
+    for share in np.repeat((1.0, 0.0), _WAY) / _WAY:  # the last steps let joints settle
         poses = platform.displaced(poses, share * twists)
         joints[:, leg.active] += share * ways
         closed = closure.evaluate(closure.deformed(joints), poses)
@@ -83,7 +84,7 @@ def _followed(closure: LegClosure, matrices: Array, active: Array | None = None)
 
 @lru_cache(maxsize=64)
 def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
-    """Return sampled tips of the leg in its mode, their joints, and how far around it reaches."""
+    """Return a tree of sampled tips in the leg's mode, their joints, and the reach around them."""
     closure = LegClosure(leg, platform)
     joints = np.random.default_rng(0).uniform(*joint_range(leg), (_SAMPLES, len(leg.moving)))
     poses = np.broadcast_to(platform.home_pose.as_matrix(), (_SAMPLES, 4, 4))
@@ -97,7 +98,7 @@ def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
 
 
 def _places(closure: LegClosure, matrices: Array) -> Array:
-    """Return where poses put a leg's end, (N, k): its point, and its axes times the leg's size."""
+    """Return the end's point, and its axes times the leg's size if it closes a frame, (N, k)."""
     points = closure.targets(matrices)[:, : closure.platform.space]
     if closure.leg.closes == "point":
         return points
@@ -106,7 +107,7 @@ def _places(closure: LegClosure, matrices: Array) -> Array:
 
 
 def mode_sign(closure: Closure) -> Array:
-    """Return the sign of det ∂c/∂(θ, p), (N,); 1 where that is not square or none is passive."""
+    """Return the sign of det ∂c/∂(θ, p), (N,); 1 if it is not square or no joint is passive."""
     leg = closure.leg.leg
     order = [*leg.active, *leg.passive]
     if len(order) != closure.gap.shape[1] or not leg.passive:
@@ -121,7 +122,7 @@ def mode_sign(closure: Closure) -> Array:
 
 
 def in_home_modes(legs: Sequence[LegClosure], closure: Closure) -> Mask:
-    """Return where closures of alike legs are in their working modes, shape (L N,)."""
+    """Return the mask of closures in the working modes of legs of one form, shape (L N,)."""
     signs = mode_sign(closure)
     home_signs = [home_mode(leg.leg, leg.platform) for leg in legs]
     return np.asarray(signs == np.repeat(home_signs, len(signs) // len(legs)))
@@ -135,22 +136,22 @@ def home_mode(leg: Leg, platform: Platform) -> float:
 
 
 _ATTEMPTS = 6
-_STEPS = 15  # of Newton's method
-_SMALL = 1e-4  # step after which the next error is rounding
-_CLOSED = 1e-11  # gap, of a leg's size, of what is closed
-_EXACT = 2e-15  # of a leg's size, what rounding leaves of a closed form
+_STEPS = 15  # largest number of Newton steps
+_SMALL = 1e-4  # step after which only rounding errors remain
+_CLOSED = 1e-11  # gap of a closed leg, over its size
+_EXACT = 2e-15  # gap that rounding leaves after a closed form, over the leg's size
 
 
 class ClosedLegs(NamedTuple):
-    """L alike legs closed at N poses each, rows of each leg below those of the one before."""
+    """Closures of L legs of one form at N poses each, stacked leg by leg."""
 
     joints: Array
     """Positions of the moving joints, shape (L N, n_joints), [rad] or [m]; NaN where not
     reached."""
     reached: Mask
-    """Where a leg closes in its working mode, shape (L N,)."""
+    """Mask of the poses that a leg reaches in its working mode, shape (L N,)."""
     closure: Closure
-    """Closure and derivatives there; of no meaning where not reached."""
+    """Closure and its derivatives at the joints; without meaning where not reached."""
 
 
 def close(
@@ -159,10 +160,10 @@ def close(
     influences: Array | None = None,
     near: Array | None = None,
 ) -> ClosedLegs:
-    """Return L alike legs closed at poses (L N, 4, 4), rows of each below those of the one before.
+    """Return L legs of one form closed at poses (L N, 4, 4), stacked leg by leg.
 
-    Influences, (N, n_influences), are of a leg that deforms, which is alone. Joints near those that
-    close a leg, (L N, n_joints), are found in its mode if not given; where NaN it is not reached.
+    The search starts at joints ``near``, (L N, n_joints), by default at ``start_joints``; rows with
+    NaN are not reached. A leg that deforms, by ``influences`` (N, n_influences), must be alone.
     """
     if near is None:
         by_leg = zip(legs, parted(matrices, len(legs)), strict=True)
@@ -173,13 +174,13 @@ def close(
         start = np.where(possible[:, None], near, _homes(legs, len(matrices)))
     joints, n = legs[0].deformed(start, influences), start.shape[1]
     if near is None:
-        possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
+        possible = possible | joints[:, n:].any(axis=1)  # starts ignore deformations
     closure = evaluate(legs, joints, matrices)
     gap = _relative_gap(legs, closure)
     closed, exact = possible & (gap <= _CLOSED), possible & (gap <= _EXACT)
     if not exact.all():
         step = _newton_step(legs[0], closure)
-        stays = exact | (closed & ~(np.abs(step) <= _SMALL).all(axis=1))  # or at a singularity
+        stays = exact | (closed & ~(np.abs(step) <= _SMALL).all(axis=1))  # singular
         joints = np.where(stays[:, None], joints, joints + step)
     searched = possible & ~closed
     if searched.any():
@@ -190,7 +191,7 @@ def close(
         homes = _homes(legs, len(matrices))
         centre = homes if near is None else start
         turning = np.ix_(searched, [i for i, joint in enumerate(legs[0].leg.moving) if joint.turns])
-        # Newton's method may have gone round
+        # Newton's method may have added full turns
         joints[turning] = centre[turning] + wrapped(joints[turning] - centre[turning])
         settled = np.where(closed[:, None], joints, legs[0].deformed(homes))
         closure = evaluate(legs, settled, matrices)
@@ -203,12 +204,12 @@ def close(
 
 
 def _homes(legs: Sequence[LegClosure], rows: int) -> Array:
-    """Return home positions of alike legs in so many rows, shape (L N, n_joints)."""
+    """Return the home positions of legs of one form, repeated to shape (rows, n_joints)."""
     return np.repeat([leg.leg.home for leg in legs], rows // len(legs), axis=0)
 
 
 def _turn_within_limits(leg: LegClosure, joints: Array) -> None:
-    """Add full turns to joints, in place, where that brings them within their limits."""
+    """Add full turns to joints, in place, where this brings them within their limits."""
     for joint, positions in zip(leg.leg.moving, joints.T, strict=True):
         if joint.turns and joint.limited:
             low, high = joint.lower - ROUNDING, joint.upper + ROUNDING
@@ -221,7 +222,7 @@ def _turn_within_limits(leg: LegClosure, joints: Array) -> None:
 def _search(
     leg: LegClosure, matrices: Array, attempts: int, joints: Array, closed: Mask, possible: Mask
 ) -> None:
-    """Find joints that close the leg, and where, by Newton's method from several starts."""
+    """Search joints that close the leg by Newton's method; ``joints`` and ``closed`` are set."""
     for attempt in range(attempts):
         rows = np.flatnonzero(possible & ~closed)
         if not len(rows):
@@ -245,7 +246,7 @@ def _search(
 
 
 def _newton_step(leg: LegClosure, closure: Closure) -> Array:
-    """Return the Newton step of all joints, deformations staying, (N, n_joints + n_deformed)."""
+    """Return the Newton step of all joints, (N, n_joints + n_deformed); deformations stay."""
     with np.errstate(all="ignore"):
         active = -least_squares(closure.drive, closure.constraint[:, :, None])[:, :, 0]
         passive = closure.passive_step(product(closure.active, active[:, :, None])[:, :, 0])
@@ -255,14 +256,14 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
 
 
 def _relative_gap(legs: Sequence[LegClosure], closure: Closure) -> Array:
-    """Return the largest gap of alike legs over their sizes, shape (L N,)."""
+    """Return the largest gap over the leg's size of legs of one form, shape (L N,)."""
     gaps = np.abs(closure.gap).max(axis=1).reshape(len(legs), -1)
     return np.asarray(gaps / np.array([[leg.size] for leg in legs])).ravel()
 
 
 @lru_cache(maxsize=64)
 def sensor_law(leg: LegClosure) -> SensorLaw:
-    """Return what a leg's sensors read at the leg's parameter values, made once."""
+    """Return the law of a leg's sensors at the leg's parameter values, cached."""
     sensors = leg.leg.sensors
     zeros, slopes = np.zeros(len(sensors)), np.zeros((len(sensors), len(leg.parameters)))
     if any(sensor.homed for sensor in sensors):
@@ -273,16 +274,16 @@ def sensor_law(leg: LegClosure) -> SensorLaw:
 def started(
     legs: Sequence[LegClosure], matrices: Array, known: Array, near: Array | None = None
 ) -> Array:
-    """Return joints of L alike legs as rows say, passive ones where a search begins.
+    """Return joints of L legs of one form, then deformations, (L N, n_joints [+ n_deformed]).
 
-    Those are near such that close the legs at poses (L N, 4, 4), or given, (L N, n_joints …); then
-    deformations. Known are readings, then influences, shape (L N, n_active [+ n_influences]).
+    Active joints follow readings, in ``known`` before influences, (L N, n_active [+ n_influences]).
+    Passive joints are as in ``near``, or nearly close the legs at poses (L N, 4, 4).
     """
-    if near is None and legs[0].leg.ends:  # readings tell its loops' branches, poses do not
+    if near is None and legs[0].leg.ends:  # only readings select the branches of its loops
         near = _followed(legs[0], matrices, sensor_law(legs[0]).position(known))
     elif near is None and legs[0].leg.passive:
         near = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
-        if not closed_form(legs[0]):  # a start may lie beyond a singularity, in another mode
+        if not closed_form(legs[0]):  # a sampled start may be in another mode
             closed = close(legs, matrices, near=near)
             near = np.where(closed.reached[:, None], closed.joints, near)
     start = np.zeros((len(matrices), len(legs[0].leg.moving))) if near is None else near
@@ -310,11 +311,11 @@ def _at_home(leg: LegClosure) -> tuple[Array, Array]:
     return closed.joints[0, leg.leg.active], slopes[0]
 
 
-_FEW = 8192  # rows of all legs: those of more are quicker leg by leg, near the processor
+_FEW = 8192  # rows of all legs together, above which legs are faster one by one (cache)
 
 
 def grouped(forms: Sequence[object], rows: int) -> list[list[int]]:
-    """Return the places of legs that are best evaluated in one call: alike ones of few rows."""
+    """Return groups of indices of legs to evaluate in one call: of one form, with few rows."""
     groups: dict[object, list[int]] = {}
     for place, form in enumerate(forms):
         groups.setdefault(form if len(forms) * rows <= _FEW else place, []).append(place)
@@ -327,10 +328,10 @@ def close_legs(
     influences: Sequence[Array | None] | None = None,
     near: Sequence[Array] | None = None,
 ) -> list[tuple[list[int], ClosedLegs]]:
-    """Return all legs closed at the same poses: places of alike ones, closed in one call each."""
+    """Return groups of legs of one form, indices and closures, closed at the same poses."""
     groups = []
     for places in grouped([leg.form for leg in legs], len(matrices)):
-        deforming = None if influences is None else influences[places[0]]  # what deforms is alone
+        deforming = None if influences is None else influences[places[0]]  # one leg
         start = None if near is None else stacked([near[place] for place in places])
         every = repeated(matrices, len(places))
         groups.append((places, close([legs[i] for i in places], every, deforming, start)))
@@ -340,9 +341,9 @@ def close_legs(
 def by_leg(
     groups: Sequence[tuple[Sequence[int], Group]], value: Callable[[Group], Any]
 ) -> list[Any]:
-    """Return values of all legs in order, (N, …) each, from those of groups, (L N, …).
+    """Return a value of each leg in order, shape (N, …), from values of groups, (L N, …).
 
-    Groups are places of alike legs among all, and what has the value.
+    ``groups`` have the indices of their legs, and an object to which ``value`` is applied.
     """
     values: dict[int, Any] = {}
     for places, group in groups:

@@ -1,8 +1,8 @@
-"""All legs at configurations: inverse kinematics of poses, or readings that do not follow.
+"""All legs at configurations, which poses determine by inverse kinematics, or readings.
 
-The readings of a serial arm do not follow from its pose, and legs with fewer joints than their
-closure has rows reach a surface of poses only: a plan carries readings then, and forward kinematics
-gives the poses.
+A pose does not determine the readings of a serial arm, and legs with fewer joints than closure rows
+reach only a surface of poses. Plans for such mechanisms have readings, and forward kinematics gives
+the poses.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.types import Array, Mask
 
-_CLOSES = 0.01  # of a leg's size, where readings and poses were measured
+_CLOSES = 0.01  # largest gap of a leg at measured readings and poses, over its size
 _NOWHERE = "no readings lead there"
-_ABOUT = 0.05  # of the mechanism's size, and [rad], by which configurations are moved about
+_ABOUT = 0.05  # spread of generic configurations, over the mechanism's size and [rad]
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,7 +40,7 @@ class InverseSolution:
     """Inverse kinematics of N poses."""
 
     joints: dict[str, Array]
-    """By leg: positions of its moving joints, shape (N, n_joints); NaN where not reached."""
+    """Positions of each leg's moving joints, by its name, (N, n_joints); NaN where not reached."""
     readings: Array
     """Sensor readings, shape (N, n_readings), [rad] or [m]; NaN where not reached."""
     reached: Mask
@@ -76,16 +76,16 @@ def inverse(
     Args:
         mechanism: The mechanism, at its nominal parameters.
         poses: N platform poses: coordinates, shape (N, dof), [m] and [rad], or transforms.
-        influences: What terms depend on, by column (``Mechanism.influences``): a number
-            for all poses, or one for each, shape (N,); at their reference if not given.
-        near: By leg, positions of its moving joints near the solution, shape (N, n_joints), as
-            ``joints`` of another one; of arms they say which of several is meant. Those of the
-            working mode if not given.
+        influences: Influence quantities of terms, by column (``Mechanism.influences``): a number
+            for all poses, or one for each, shape (N,); by default at their reference.
+        near: Joint positions near the solution by name of leg, shape (N, n_joints), such as
+            ``joints`` of another solution. They select one of an arm's solutions; by default the
+            search starts in the working mode.
 
     Raises:
-        MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
-            out of its leg's reach.
-        MeasurementError: an influence on which nothing depends, or of a wrong shape.
+        MechanismError: poses have a wrong shape, or are not finite; the leg of a homed sensor does
+            not reach the home pose.
+        MeasurementError: no term depends on an influence, or it has a wrong shape.
     """
     mechanism = as_mechanism(mechanism)
     placed = mechanism.platform.matrices(poses)
@@ -134,23 +134,23 @@ def _inverse(
 
 
 def beyond_limits(leg: Leg, joints: Array) -> Mask:
-    """Return which moving joints are outside their limits, of positions of shape (N, n_joints)."""
+    """Return the mask of joint positions, (N, n_joints), that are outside the joints' limits."""
     slack = ROUNDING * max(1.0, leg.size)
     low = [joint.lower - slack if joint.limited else -np.inf for joint in leg.moving]
     high = [joint.upper + slack if joint.limited else np.inf for joint in leg.moving]
-    with np.errstate(invalid="ignore"):  # where the leg does not close
+    with np.errstate(invalid="ignore"):  # NaN where the leg does not close
         return np.asarray((joints < low) | (joints > high))
 
 
 class Legs(NamedTuple):
-    """What all legs demand at N configurations that they reach, to first order."""
+    """Linearised conditions of all legs at the N configurations of a plan that they reach."""
 
     poses: Array
     """Coordinates, shape (N, dof), [m] and [rad]."""
     readings: Array | None
-    """Shape (N, n_readings), where they do not follow from poses."""
+    """Readings, shape (N, n_readings), if poses do not determine them."""
     reached: Mask
-    """Which of the planned configurations these are, shape (M,)."""
+    """Mask of these configurations among the M planned ones, shape (M,)."""
     parameter: Array
     """∂e/∂φ, shape (N, n_rows, n_params)."""
     pose: Array
@@ -162,12 +162,12 @@ class Legs(NamedTuple):
 
     @property
     def gain(self) -> Array:
-        """∂(pose)/∂(parameter), shape (N, dof, n_params); of least squares for redundant legs."""
+        """∂(pose)/∂(parameter), (N, dof, n_params), by least squares if legs are redundant."""
         return -least_squares(self.pose, self.parameter)
 
 
 def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
-    """Return a plan, with readings only where they do not follow from poses; or of poses."""
+    """Return a plan, of poses if these are given; readings stay if poses do not determine them."""
     if not isinstance(planned, Plan):
         return Plan(numbers_of(planned, "poses", MechanismError))
     readings = planned.readings if mechanism.by_readings else None
@@ -176,7 +176,7 @@ def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
 
 
 def planned_influences(mechanism: Mechanism, plan: Plan) -> Array:
-    """Return columns of influences of a plan's rows in order, shape (N, n_influences)."""
+    """Return the influences at the rows of a plan, loads included, shape (N, n_influences)."""
     readings = plan.readings
     if readings is None and mechanism.followed & set(mechanism.influences):
         readings = inverse(mechanism, plan.poses, influences_of(mechanism, plan)).readings
@@ -185,15 +185,15 @@ def planned_influences(mechanism: Mechanism, plan: Plan) -> Array:
 
 
 def home_of(mechanism: Mechanism) -> Plan:
-    """Return the home configuration as a plan of one."""
+    """Return the home configuration as a plan of one row."""
     readings = reading_range(mechanism)[2][None] if mechanism.by_readings else None
     return Plan(np.array([mechanism.platform.home]), readings=readings)
 
 
 def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
-    """Return all joints at planned configurations: by inverse kinematics, or as readings say.
+    """Return all joints at planned configurations, by inverse kinematics or by readings.
 
-    There a leg counts as reached if it closes within a hundredth of its size.
+    By readings, a leg counts as reached if it closes within a hundredth of its size.
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is None:
@@ -210,10 +210,10 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
 
 
 def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
-    """Return what all legs demand at planned configurations, those that they reach."""
+    """Return the linearised conditions of all legs at the planned configurations in reach."""
     plan = as_plan(mechanism, planned)
     solved, reached = np.arange(len(plan)), np.zeros(len(plan), dtype=bool)
-    if mechanism.by_readings:  # which lead somewhere; with poses alone some configuration there
+    if mechanism.by_readings:  # forward kinematics gives the poses
         poses, readings, reasons = command(mechanism, plan)
         solved = np.flatnonzero([not reason for reason in reasons])
         plan = replace(plan.rows(solved), poses=poses[solved], readings=readings[solved])
@@ -228,7 +228,7 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
 
 
 def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
-    """Return what each leg demands at configurations, poses in reach."""
+    """Return the linearised condition of each leg at configurations in reach."""
     columns, legs = planned_influences(mechanism, plan), nominal_legs(mechanism)
     placed, places = [mechanism.platform.matrices(plan.poses)] * len(legs), range(len(legs))
     if plan.readings is None:
@@ -239,10 +239,10 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
 
 
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:
-    """Return poses (N, dof) and readings (N, n_readings) that a mechanism commands, or reasons.
+    """Return poses (N, dof) and readings (N, n_readings) to command, and why a row has none.
 
-    Readings of a plan are commanded; NaN where there is a reason, which is else empty. With drives
-    more or fewer than the freedoms the nearest configurations are commanded in which legs close.
+    A reason is empty if the row has a pose and readings. The readings of a plan are commanded; with
+    more or fewer drives than freedoms, the nearest configurations at which all legs close are.
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is not None:
@@ -261,9 +261,9 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
 
 
 def shifted(mechanism: Mechanism, planned: Plan | Array, shifts: Callable[[Array], Array]) -> Plan:
-    """Return configurations with the platform shifted, turned as it was; in reach or not.
+    """Return configurations with the platform shifted but not turned, in reach or not.
 
-    Shifts follow from the poses ``T_base_platform``, (N, 4, 4): shape (N, 3), base axes, [m].
+    ``shifts`` gives shifts, (N, 3), base axes, [m], of poses ``T_base_platform``, (N, 4, 4).
     """
     plan, platform = as_plan(mechanism, planned), mechanism.platform
     poses = command(mechanism, plan)[0]
@@ -279,7 +279,7 @@ def shifted(mechanism: Mechanism, planned: Plan | Array, shifts: Callable[[Array
 
 
 def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the plan") -> None:
-    """Raise MeasurementError if no configuration of a plan, named so, is in reach."""
+    """Raise MeasurementError, which calls the plan by ``name``, if none of its rows is in reach."""
     reasons = command(mechanism, planned)[2]
     if all(reasons):
         first = planned.place(0) if isinstance(planned, Plan) else "row 1"
@@ -288,15 +288,15 @@ def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the 
 
 
 def nearby(mechanism: Mechanism, planned: Plan | Array, count: int, size: float) -> Plan:
-    """Return at least so many generic configurations about planned ones; the size is [m].
+    """Return at least ``count`` generic configurations near planned ones; the size is in [m].
 
-    What moves the platform as frames would at a few poses need not do so elsewhere.
+    Parameters that move the platform like a frame at a few poses may not do so at generic ones.
     """
     plan, platform, rng = as_plan(mechanism, planned), mechanism.platform, np.random.default_rng(0)
     rounds, influences = -(-count // max(len(plan), 1)), {}
-    for name, column in plan.influences.items():  # moved about by as much as they differ
+    for name, column in plan.influences.items():  # spread as far as they differ
         values, known = np.tile(column, rounds), column[np.isfinite(column)]
-        if len(known):  # then everywhere
+        if len(known):  # unknown values are filled
             filled = np.where(np.isfinite(values), values, known[0])
             values = filled + (np.ptp(known) or 1.0) * rng.standard_normal(len(values))
         influences[name] = values

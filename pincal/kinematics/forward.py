@@ -1,8 +1,8 @@
 """Forward kinematics: poses of readings, by Newton's method on the pose and all passive joints.
 
 Passive joints are eliminated leg by leg, so each step solves one small system for the platform's
-twist; with more legs than freedoms by least squares, the pose of the least gaps [m]. Where it goes
-astray, readings are followed step by step on their way from home.
+twist, by least squares of the gaps [m] if there are more equations than freedoms. Rows that do not
+converge are searched again, with readings that move from home in steps.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from pincal.types import Array, Index, Mask
 
 
 class MovingLegs:
-    """Alike legs, their places among all, and joints on the way to a pose, changed in place."""
+    """Legs of one form, their indices, and their joints, which follow the platform's steps."""
 
     def __init__(
         self,
@@ -47,9 +47,10 @@ class MovingLegs:
         known: Sequence[Array],
         matrices: Array,
     ) -> None:
-        """Take some legs of all at poses (N, 4, 4), passive joints near those that close them.
+        """Take the legs of some indices, with passive joints that nearly close them at poses.
 
-        Known are of each leg readings, then influences, shape (N, n_active [+ n_influences]).
+        ``known`` has each leg's readings, then influences, shape (N, n_active [+ n_influences]);
+        poses have shape (N, 4, 4).
         """
         self.places, self.legs = places, [every[place] for place in places]
         rows = stacked([known[place] for place in places])
@@ -57,16 +58,16 @@ class MovingLegs:
         self.joints = joints.reshape(len(places), len(matrices), -1)
 
     def closed(self, matrices: Array, joints: Array) -> Closure:
-        """Return their closures at poses, rows of each leg below those of the one before."""
+        """Return the legs' closures at poses, (N, 4, 4), stacked leg by leg."""
         flat = joints.reshape(-1, joints.shape[2])
         return evaluate(self.legs, flat, repeated(matrices, len(self.legs)))
 
     def in_mode(self, closure: Closure) -> Mask:
-        """Return where each leg is in its working mode, shape (L, N)."""
+        """Return the mask of closures in the legs' working modes, shape (L, N)."""
         return in_home_modes(self.legs, closure).reshape(len(self.legs), -1)
 
     def at(self, matrices: Array, rows: Index) -> Closure:
-        """Return their closures at rows; lines that a step turned over are put back in mode."""
+        """Return the closures at rows; driven lines that a step turned over start anew."""
         closure = self.closed(matrices[rows], self.joints[:, rows])
         turned_over = ~self.in_mode(closure)
         lines = [i for i, leg in enumerate(self.legs) if turned_over[i].any() and is_line(leg)]
@@ -77,7 +78,7 @@ class MovingLegs:
         return self.closed(matrices[rows], self.joints[:, rows]) if lines else closure
 
     def follow(self, closure: Closure, rows: Index, twists: Array) -> Array:
-        """Let passive joints at rows follow twists of the poses, (n, dof); return how far, (n,)."""
+        """Move passive joints at rows by twists of the platform, (n, dof); return steps, (n,)."""
         every = np.tile(twists, (len(self.legs), 1))[:, :, None]
         step = closure.passive_step(product(closure.pose, every)[:, :, 0])
         step = step.reshape(len(self.legs), len(rows), -1)
@@ -86,12 +87,12 @@ class MovingLegs:
 
 
 _WAY = 8  # steps on the way from home
-_STEPS, _LARGEST = 40, 0.2  # of Newton's method: how many, and how far at once
-_SMALL = 1e-9  # step after which the next error is rounding
-_CLOSED = 1e-8  # gap, of a leg's size, of what is closed
-_TOLD = 1e-6  # [m], from which legs that stay open are told
+_STEPS, _LARGEST = 40, 0.2  # largest number of Newton steps; largest step, over the size and [rad]
+_SMALL = 1e-9  # step after which only rounding errors remain
+_CLOSED = 1e-8  # gap of a closed leg, over its size
+_TOLD = 1e-6  # least gap that the solution's text mentions, [m]
 LOADS = 20
-"""Loads follow from where the machine is, which follows from loads: found again."""
+"""Largest number of iterations between loads and the configuration that they bend."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,14 +102,13 @@ class ForwardSolution:
     poses: Array
     """Platform coordinates, shape (N, dof), [m] and [rad]; NaN where not found."""
     converged: Mask
-    """Whether no motion of the platform would close the legs further, in the modes of home,
-    shape (N,). Legs that are no more than the freedoms are closed then."""
+    """Mask of rows, shape (N,), whose pose has the least gaps, in the modes of home. All legs are
+    closed then if they have no more equations than the platform has freedoms."""
     gap: Array
-    """How far each leg stays from closing, shape (N, n_legs), [m]; NaN where not found. Rounding
-    errors, unless the legs demand more than there are freedoms and readings contradict; less than
-    a tenth of the size."""
+    """Remaining gap of each leg, shape (N, n_legs), [m]; NaN where not found. It is a rounding
+    error, or below a tenth of the size if more equations than freedoms contradict each other."""
     reasons: tuple[str, ...]
-    """Why a row has no pose; empty strings where it has one."""
+    """Reason why a row has no pose, length N; empty if it has one."""
 
     def __repr__(self) -> str:
         gap = np.max(self.gap, initial=0.0, where=np.isfinite(self.gap))
@@ -118,7 +118,7 @@ class ForwardSolution:
         )
 
     def __str__(self) -> str:
-        """Return a page: why poses were not found, and how many of them."""
+        """Return a page with the number of rows without a pose, by reason."""
         counts = Counter(reason for reason in self.reasons if reason)
         return "\n".join([repr(self), *(f"  {n}: {reason}" for reason, n in counts.most_common())])
 
@@ -132,21 +132,21 @@ def forward(
 ) -> ForwardSolution:
     """Return the poses of sensor readings, in the assembly mode of home.
 
-    Without a guess they are searched from home, then on the way from home; rows that are not found
-    have no pose, and a reason. More legs than freedoms have no pose in common if readings are not
-    exact: it is then that of the least sum of squared gaps, and ``gap`` is how far they contradict.
-    Drives that leave freedoms open have a pose near the guess, and none without one.
+    Without a guess the search starts at home, and then follows readings from home. If there are
+    more equations than freedoms and readings are not exact, no pose closes all legs: the pose has
+    the least sum of squared gaps, and ``gap`` tells how much readings contradict. If drives leave
+    freedoms open, a guess is needed, and the pose is near it.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
         readings: Sensor readings, shape (N, n_readings), [rad] or [m], legs in order.
-        guess: N poses near the solutions, from which alone they are searched.
-        influences: What terms depend on, by column: see ``inverse``.
+        guess: N poses near the solutions, the only start of the search.
+        influences: Influence quantities of terms, by column: see ``inverse``.
 
     Raises:
-        MechanismError: readings or guess of a wrong shape, or not finite; a homed sensor and a
-            home pose out of its leg's reach.
-        MeasurementError: an influence on which nothing depends, or of a wrong shape.
+        MechanismError: readings or guess have a wrong shape, or are not finite; the leg of a homed
+            sensor does not reach the home pose.
+        MeasurementError: no term depends on an influence, or it has a wrong shape.
     """
     mechanism = as_mechanism(mechanism)
     readings = numbers_of(readings, "readings", MechanismError)
@@ -189,7 +189,7 @@ def forward(
 def _on_the_way(
     mechanism: Mechanism, readings: Array, columns: Array, solution: ForwardSolution
 ) -> ForwardSolution:
-    """Return forward kinematics with rows that were not found searched step by step from home."""
+    """Return a solution whose missing rows were searched again, with readings from home on."""
     lost = np.flatnonzero(~solution.converged)
     if not len(lost):
         return solution
@@ -205,7 +205,7 @@ def _on_the_way(
 
 
 def reading_range(mechanism: Mechanism) -> tuple[Array, Array, Array]:
-    """Return least and largest readings of the active joints' limits, and home's, (n,) each."""
+    """Return readings at the limits of active joints, least and largest, and at home, (n,) each."""
     ends = []
     for closure in nominal_legs(mechanism):
         leg = closure.leg
@@ -236,10 +236,7 @@ def _forward(
 def with_loads(
     mechanism: Mechanism, influences: Array, readings: Array, poses: Array | None = None
 ) -> Array:
-    """Return columns of influences with the loads of joints and links that were not given.
-
-    See ``loads_at``; a term depends on nothing that is identified.
-    """
+    """Return influences, (N, n_influences), whose unknown loads are computed: see ``loads_at``."""
     if not mechanism.weighs:
         return influences
     places = [mechanism.influences.index(name) for name in mechanism.loaded]
@@ -255,9 +252,9 @@ def with_loads(
 def loads_at(mechanism: Mechanism, readings: Array, poses: Array | None = None) -> dict[str, Array]:
     """Return the loads of joints and links by column, (N,) each; NaN where a reading is missing.
 
-    They are those of the machine as drawn, at poses (N, dof), base frame; or where readings
-    (N, n_readings) would take it, or home. Where an arm stands follows from its readings alone,
-    wherever it was measured.
+    They are those of the machine as drawn, so that they do not depend on identified parameters, at
+    poses (N, dof) in the base frame. Unknown poses follow from readings, (N, n_readings), or are
+    home. The poses of an arm always follow from readings.
     """
     drawing, known = mechanism.drawing, np.isfinite(readings).all(axis=1)
     legs = nominal_legs(drawing)
@@ -281,7 +278,7 @@ def loads_at(mechanism: Mechanism, readings: Array, poses: Array | None = None) 
 def _solve(
     mechanism: Mechanism, legs: Sequence[LegClosure], known: Sequence[Array], guess: Array
 ) -> tuple[Array, list[str], Array]:
-    """Return matrices, reasons and gaps for one chunk."""
+    """Return poses (N, 4, 4), reasons, and gaps (N, n_legs), at readings in one chunk."""
     matrices = placed_by_arm(legs, known)
     matrices = guess.copy() if matrices is None else matrices
     by_form = grouped([leg.form for leg in legs], len(matrices))
@@ -308,7 +305,7 @@ def _solve(
 
 
 def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array | None:
-    """Return the poses of a leg whose every joint is read, (N, 4, 4), or None if there is none."""
+    """Return poses (N, 4, 4) by a leg whose every joint is read; None if there is no such leg."""
     for leg, rows in zip(legs, known, strict=True):
         if leg.leg.is_arm:
             home = np.broadcast_to(leg.platform.home_pose.as_matrix(), (len(rows), 4, 4))
@@ -327,7 +324,7 @@ def _platform_step(groups: Sequence[MovingLegs], closures: Sequence[Closure]) ->
 def _reasons(
     mechanism: Mechanism, groups: Sequence[MovingLegs], matrices: Array, moving: Mask
 ) -> tuple[list[str], Array]:
-    """Return why each row has no pose, an empty string where it has one, and the legs' gaps."""
+    """Return the reason why each row has no pose, empty if it has one, and the legs' gaps."""
     finite: Mask = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     for group in groups:
         finite &= np.isfinite(group.joints).all(axis=(0, 2))
@@ -344,7 +341,7 @@ def _reasons(
     for group, (_, closure) in zip(groups, closed, strict=True):
         count, sizes = len(group.legs), np.array([[leg.size] for leg in group.legs])
         moved = product(closure.constraint_by_pose, np.tile(twist, (count, 1))[:, :, None])
-        # what neither twists nor passive joints close is what readings contradict each other by
+        # readings contradict each other by the part that neither twists nor passive joints close
         contradiction = product(closure.normal, closure.constraint[:, :, None] + moved)[:, :, 0]
         closable = np.abs(closure.gap - contradiction).max(axis=1).reshape(count, -1)
         closes &= (closable <= _CLOSED * sizes).all(axis=0)
