@@ -122,11 +122,11 @@ def simulate(
     setup, noise = read_setup(setup or Setup()), as_noise(noise)
     plan, rng = read_poses(plan, mechanism, setup=setup), generator_of(seed, MeasurementError)
     count, platform, setup = len(plan.poses), mechanism.platform, setup.of_rows(plan.contacts)
-    led = setup.led
-    if led.contacts:
-        sigma = max(led.noises(platform).values(), default=noise.position)
+    touched = setup.only_touched
+    if touched.contacts:
+        sigma = max(touched.noises(platform).values(), default=noise.position)
         errors = sigma * rng.standard_normal((count, 3))
-        plan, mechanism = touching(truth, as_plan(truth, plan), led, errors), truth
+        plan, mechanism = touching(truth, as_plan(truth, plan), touched, errors), truth
     if mechanism.redundant:
         poses, readings, causes = command(truth, plan)
         reasons = [cause and f"true mechanism: {cause}" for cause in causes]

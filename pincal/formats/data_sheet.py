@@ -34,7 +34,7 @@ def _geometry(leg: Leg, platform: Platform, parameters: Array) -> dict[str, tupl
     if form is None or leg.active != [form.driven] or law.terms:
         return {}
     point = closure.targets(np.eye(4)[None])[0]
-    start, slope = law.start[0], law.slope[0]
+    start, slope = law.intercept[0], law.slope[0]
     gained = {"reading: gain": ("1", np.array([1.0 / slope]))}
     if form.frame is None:
         zero = form.mode * (start + form.length)
@@ -225,7 +225,7 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
 
     fitted = least_squares(lambda unknowns: missed_by(unknowns).ravel(), begin, x_scale="jac").x
     laws = [sensor_law(LegClosure(leg, mechanism.platform)) for leg in legs]
-    start, slope = np.array([(law.start[0], law.slope[0]) for law in laws]).T
+    start, slope = np.array([(law.intercept[0], law.slope[0]) for law in laws]).T
     readings = np.empty_like(q)
     readings[:, order] = (signs * drives(fitted) - start) / slope
     missed = np.array([np.inf])

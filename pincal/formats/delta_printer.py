@@ -181,5 +181,5 @@ def _tower(closure: LegClosure) -> Array:
             f"{leg.name}: its readings grow upwards; a firmware's count down from the endstop "
             "(direction -1 of the sensor)"
         )
-    top = rod.centre - closure.targets(np.eye(4)[None])[0] + vertical * law.start[0]
+    top = rod.centre - closure.targets(np.eye(4)[None])[0] + vertical * law.intercept[0]
     return np.array([*top, rod.length, gain])

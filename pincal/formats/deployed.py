@@ -298,7 +298,7 @@ def _chain(
 def _sensors(machine: Mechanism, leg: Leg, law: SensorLaw) -> Several:
     sensors: list[Table] = [
         {"slope": float(slope), "start": float(start), "terms": Several("machine_term", ())}
-        for slope, start in zip(law.slope, law.start, strict=True)
+        for slope, start in zip(law.slope, law.intercept, strict=True)
     ]
     for term in law.terms:
         sensors[term.target]["terms"].append(_term(machine, leg, term, len(sensors)))

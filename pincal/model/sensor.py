@@ -49,19 +49,17 @@ class PlacedTerm(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorLaw:
-    """Active joints' positions by readings, at parameter values: q = slope ψ + start + terms.
+    """Active joints' positions by readings, at parameter values: q = slope ψ + intercept + terms.
 
     ``known`` are the readings, then the influences, shape (N, n_active [+ n_influences]).
     """
 
     slope: Array
     """∂q/∂ψ, shape (n_active,), [1]."""
-    start: Array
+    intercept: Array
     """Joint positions at which readings are zero, shape (n_active,), [rad] or [m]."""
-    slope_by_parameter: Array
-    """∂slope/∂φ, shape (n_active, n_params)."""
-    start_by_parameter: Array
-    """∂start/∂φ, shape (n_active, n_params)."""
+    linear_by_parameter: Array
+    """∂slope/∂φ and ∂intercept/∂φ, shape (2, n_active, n_params)."""
     terms: tuple[PlacedTerm, ...] = ()
 
     def reading(self, joints: Array, influences: Array | None = None) -> Array:
@@ -70,7 +68,7 @@ class SensorLaw:
         With terms, Newton's method solves for them; they are NaN where it does not converge.
         Influences, shape (N, n_influences), are at their reference if not given.
         """
-        readings = (joints - self.start) / self.slope
+        readings = (joints - self.intercept) / self.slope
         if not self.terms:
             return readings
         for _ in range(_STEPS):
@@ -86,7 +84,7 @@ class SensorLaw:
 
     def position(self, known: Array) -> Array:
         """Return the active joints' positions at the known columns, shape (N, n_active)."""
-        positions = self.slope * known[:, : len(self.slope)] + self.start
+        positions = self.slope * known[:, : len(self.slope)] + self.intercept
         for term in self.terms:
             positions[:, term.target] += term.amplitude * term.basis(known)
         return positions
@@ -106,15 +104,14 @@ class SensorLaw:
     @cached_property
     def parameter_places(self) -> Index:
         """Indices of the leg's parameters that change positions, in order, shape (k,)."""
-        linear = np.concatenate((self.slope_by_parameter, self.start_by_parameter)).any(axis=0)
         amplitudes = np.array([term.parameter for term in self.terms], dtype=np.intp)
-        return np.union1d(np.flatnonzero(linear), amplitudes)
+        return np.union1d(np.flatnonzero(self.linear_by_parameter.any(axis=(0, 1))), amplitudes)
 
     def by_parameter(self, known: Array) -> Array:
         """Return ∂q/∂φ, by ``parameter_places``, at the known columns, shape (N, n_active, k)."""
         readings, places = known.T[: len(self.slope), None], self.parameter_places
-        by_slope, by_start = self.slope_by_parameter[:, places], self.start_by_parameter[:, places]
-        derivatives = (by_slope[:, :, None] * readings + by_start[:, :, None]).transpose(2, 0, 1)
+        by_slope, by_intercept = self.linear_by_parameter[:, :, places, None]
+        derivatives = (by_slope * readings + by_intercept).transpose(2, 0, 1)
         for term in self.terms:
             place = np.searchsorted(places, term.parameter)
             derivatives[:, term.target, place] += term.basis(known)
@@ -129,19 +126,17 @@ def law_of_sensors(
     ``home`` are the active joints' positions at the platform's home pose, shape (n_active,), and
     ``home_by_parameter`` their derivatives, shape (n_active, n_params).
     """
-    laws = [np.hstack(sensor.law(parameters)) for sensor in leg.sensors]
-    columns = np.reshape(laws, (len(laws), 2 + 2 * len(parameters)))
-    (slope, start), (slopes, starts) = columns[:, :2].T, np.split(columns[:, 2:], 2, axis=1)
-    homed = np.array([sensor.homed for sensor in leg.sensors], bool)
-    zeros = np.array([0.0 if sensor.homed else sensor.zero for sensor in leg.sensors], np.float64)
+    laws = np.zeros((2, len(leg.sensors), 1 + len(parameters)))
+    for index, sensor in enumerate(leg.sensors):
+        laws[:, index] = sensor.law(parameters)
+        if sensor.homed:
+            laws[1, index] += (home[index], *home_by_parameter[index])
+        else:
+            laws[1, index, 0] += float(sensor.zero)
     terms = [(index, term) for index, sensor in enumerate(leg.sensors) for term in sensor.terms]
-    return SensorLaw(
-        slope,
-        start + np.where(homed, home, zeros),
-        slopes,
-        starts + np.where(homed[:, None], home_by_parameter, 0.0),
-        _placed(leg, leg.reading_names, terms, parameters),
-    )
+    placed = _placed(leg, leg.reading_names, terms, parameters)
+    slope, intercept = laws[:, :, 0]
+    return SensorLaw(slope, intercept, laws[:, :, 1:], placed)
 
 
 def law_of_deformations(leg: Leg, parameters: Mapping[str, float]) -> SensorLaw:
@@ -151,9 +146,9 @@ def law_of_deformations(leg: Leg, parameters: Mapping[str, float]) -> SensorLaw:
     """
     terms = [(leg.deformed.index(name), term) for name, term in leg.terms]
     owners = [f"{leg.name}.{name}" for name in leg.deformed]
-    none = np.zeros((len(owners), len(parameters)))
+    none = np.zeros((2, len(owners), len(parameters)))
     placed = _placed(leg, owners, terms, parameters)
-    return SensorLaw(none[:, 0], none[:, 0], none, none, placed)
+    return SensorLaw(none[0, :, 0], none[0, :, 0], none, placed)
 
 
 def _placed(
@@ -220,19 +215,16 @@ class Sensor:
         """Return whether readings equal joint positions at the given parameter values."""
         return self.constants(parameters) == (1.0, 0.0) and self.zero == 0.0 and not self.terms
 
-    def law(self, parameters: Mapping[str, float]) -> tuple[float, float, Array, Array]:
-        """Return slope and start of q = slope ψ + start, and their derivatives by the parameters.
+    def law(self, parameters: Mapping[str, float]) -> Array:
+        """Return slope and intercept of q = slope ψ + intercept, each before its derivatives.
 
-        ``parameters`` are the values of the leg's parameters by name, in order.
+        ``parameters`` are values by name, in the leg's order; the shape is (2, 1 + n_params).
         """
         gain, offset = self.constants(parameters)
-        by_gain = np.array([float(name == self.gain) for name in parameters])
+        by_gain = np.array([self.direction * float(name == self.gain) for name in parameters])
         by_offset = np.array([float(name == self.offset) for name in parameters])
         if self.form == "joint":
-            slope, start = gain, offset
-            slopes, starts = self.direction * by_gain, by_offset
-        else:
-            slope, start = 1.0 / gain, -offset / gain
-            slopes = -self.direction * slope**2 * by_gain
-            starts = -slope * by_offset + offset * self.direction * slope**2 * by_gain
-        return slope, start, slopes, starts
+            return np.array([[gain, *by_gain], [offset, *by_offset]])
+        slope, slopes = 1.0 / gain, -by_gain / gain**2
+        intercepts = -slope * by_offset - offset * slopes
+        return np.array([[slope, *slopes], [-offset / gain, *intercepts]])

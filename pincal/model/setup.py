@@ -199,7 +199,7 @@ class Setup:
         return replace(self, distances={**self.distances, **between}, contacts=contacts)
 
     @property
-    def led(self) -> Setup:
+    def only_touched(self) -> Setup:
         """The setup with only the contacts to which the machine is led, those without a gauge."""
         contacts = {n: c for n, c in self.contacts.items() if n != ROW and not c.gauge}
         return replace(self, distances={}, contacts=contacts)
