@@ -108,7 +108,7 @@ def test_derivatives_are_central_differences(tmp_path: Path) -> None:
     outside, rng = observation.external, np.random.default_rng(0)
     values = outside.moved(outside.start, 0.1 * rng.standard_normal(len(outside)))
     matrices = robot.platform.matrices(points[:6])
-    assert len({name[:2] for name in observation.setup.between}) == 3
+    assert len({name[:2] for name in observation.setup.between_rows}) == 3
     assert_observed(observation, robot.platform, matrices, values)
 
 

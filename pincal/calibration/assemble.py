@@ -337,7 +337,7 @@ def _platform_residuals(fit: Fit, shares: Array) -> list[ResidualGroup]:
     before, after = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
     groups, columns_of = list[ResidualGroup](), enumerate(observation.names)
     measured = {name: (i, observation.measured[:, i]) for i, name in columns_of}
-    between = observation.setup.between
+    between = observation.setup.between_rows
     for point, columns, rows in observation.touches():  # point by point, in place of all together
         for column in columns.tolist():
             measured.pop(observation.names[column], None)

@@ -103,7 +103,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     dof = fits_of_all.degrees_of_freedom
     chi2 = fits_of_all.chi2
     # verification rows, and distances between rows of two folds, are in no fit
-    open_ends = [(groups < 0).any(), calibration.observation.setup.between]
+    open_ends = [(groups < 0).any(), calibration.observation.setup.between_rows]
     total = None if any(open_ends) else chi2
     unit = 1.0 if calibration.noise.known else max(chi2 / max(dof, 1), 1e-300)
     variances = _variances_drawn(fits_of_all)
@@ -213,7 +213,7 @@ def predictions(fits_of_all: Fits, held: Calibration) -> Predicted:
     if fits_of_all.latent:
         (fit,) = fits_of_all.fits
         problem, external, near = held.latent_problem, fit.last.state.external, None
-        if problem.observation.setup.between:  # poses are not measured, and may be anywhere
+        if problem.observation.setup.between_rows:  # poses are not measured, and may be anywhere
             readings, machine = held.measurements.readings, held.identified(fit.parameters)
             solution = forward(machine, readings, influences=held.influences)
             near = np.where(solution.converged[:, None], solution.poses, machine.platform.home)

@@ -306,7 +306,7 @@ def _sigmas_by_name(
         sigmas[name] = np.where(np.isfinite(sigma), sigma, size)
     if data.sigma_poses is not None:
         sigmas |= dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
-    if between := setup.between:
+    if between := setup.between_rows:
         usual = np.full(len(data), noise.position)
         distances = {name: data.sigma_extra.get(name, usual) for name in between}
         marked = _MARKED * float(np.nanmin(np.concatenate([*distances.values(), [np.inf]])))

@@ -105,7 +105,7 @@ class Observation:
     def named(self, quantity: str, row: int) -> str:
         """Return the name of a quantity in a row; a distance names the row it is measured from."""
         name = quantity.removeprefix("measured ")
-        if name not in self.setup.between:
+        if name not in self.setup.between_rows:
             return quantity
         row_point = [*self.setup.touched][self.meets[row, [*self.setup.distances].index(name)]]
         return f"{name.partition('_')[0]} to {row_point.replace('_', ' ', 1)}"
@@ -121,7 +121,7 @@ class Observation:
         they are, since a feature that a row does not touch may be anywhere.
         """
         somewhere: Mask = np.asarray(self.measured.any(axis=0))
-        somewhere[np.isin(self.names, self.setup.between)] = False
+        somewhere[np.isin(self.names, self.setup.between_rows)] = False
         for columns in self.setup.contact_axes(self.platform).values():
             somewhere[np.isin(self.names, columns)] = False
         return self._changed(

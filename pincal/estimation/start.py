@@ -95,7 +95,7 @@ def _outside_started(problem: Problem, state: State) -> State:
     outside, contacts = observation.external, observation.setup.contact_axes(problem.platform)
     columns = [name for device in observation.setup.instruments for name in device.columns]
     columns += chain(*contacts.values())
-    dependent = {*columns, *observation.setup.between}  # quantities that need touched features
+    dependent = {*columns, *observation.setup.between_rows}  # quantities that need touched features
     independent = observation.only([name for name in observation.names if name not in dependent])
     without = replace(problem, observation=independent)
     if not columns or (without.equations < 0).any():

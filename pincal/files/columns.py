@@ -243,7 +243,7 @@ def sheet_columns(
     planned: dict[str, Any] = {**_pose_columns(mechanism, plan, "zyx")}
     read = reading_columns(mechanism, plan.readings)
     setup = (setup or Setup()).of_rows(plan.contacts)
-    names = mechanism.platform.freedoms if measured is None else (*measured, *setup.between)
+    names = mechanism.platform.freedoms if measured is None else (*measured, *setup.between_rows)
     heads = [*_measured_heads(mechanism, tuple(planned), names, setup), *read]
     written = replace(units, names={"m": "mm", "rad": "deg", **units.names}, last=1e-7).written
     columns: dict[str, Any] = {"row": tuple(str(1 + row) for row in range(len(plan)))}

@@ -205,7 +205,7 @@ class Setup:
         return replace(self, distances={}, contacts=contacts)
 
     @property
-    def between(self) -> list[str]:
+    def between_rows(self) -> list[str]:
         """Columns that are measured from another row."""
         return [name for name, distance in self.distances.items() if distance.point is None]
 

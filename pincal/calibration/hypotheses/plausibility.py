@@ -348,13 +348,13 @@ def check_distances(calibration: Calibration) -> None:
     """Raise if a distance between rows fits the nominal machine only in another unit or sign."""
     observation, data = calibration.observation, calibration.measurements
     least = QUESTIONED * calibration.mechanism.size
-    if not observation.setup.between or not np.isfinite(data.readings).all():
+    if not observation.setup.between_rows or not np.isfinite(data.readings).all():
         return
     solution = forward(calibration.mechanism, data.readings)
     matrices = calibration.mechanism.platform.matrices(solution.poses)
     nearest = observation.at_touch(matrices, observation.external.start)
     missed = observation.residuals(matrices, nearest)[0]
-    for column in observation.setup.between:
+    for column in observation.setup.between_rows:
         kind, place = column.partition("_")[0], observation.names.index(column)
         measured = data.extra[column]
         nominal = missed[:, place] + measured
