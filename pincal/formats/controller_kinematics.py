@@ -152,8 +152,7 @@ def _inverse(T: Row, known: Row, near: Matrix | None) -> Solution:
     joints: Matrix = []
     reason = ""
     for index, leg in enumerate(MACHINE["legs"]):
-        bent = _deformations(leg, known)
-        q, reached = _close(leg, T, bent, near[index] if near else None)
+        q, reached = _close(leg, T, _deformations(leg, known), near[index] if near else None)
         joints.append(q)
         for row, sensor in enumerate(leg["sensors"]):
             value, settled = _reading(sensor, q[leg["active"][row]], known)
@@ -191,65 +190,51 @@ def _solve(
     leg: dict[str, Any], T: Row, start: Row, bent: Row, near: Row | None = None
 ) -> tuple[Row, bool]:
     """Return joints by Newton's method, and whether they close the leg in its working mode."""
-    q = list(start)
+    values, n = [*start, *bent], len(leg["unknown"])
     for k in range(STEPS):
-        if not _step_joints(leg, T, q, bent) > SMALL:
+        rows = [[*row[:n], row[-1]] for row in _closure(leg, T, values)]
+        step = _least_squares(rows, n)
+        length = _length(leg, leg["unknown"], step)
+        for i, change in zip(leg["unknown"], step, strict=True):
+            values[i] += min(1.0, LARGEST / max(length, LARGEST)) * change
+        if not length > SMALL:
             break
-        if near is None and k < WITHIN:
-            q = [max(low, min(high, a)) for a, (low, high) in zip(q, leg["limits"], strict=True)]
-    _turn_back(leg, q, leg["home"] if near is None else near, near is None)
-    c, J, _ = _closure(leg, T, q, bent)
-    return q, max(map(abs, c)) <= CLOSED * leg["size"] and _mode(leg, J) == leg["mode"]
-
-
-def _step_joints(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> float:
-    """Make a Newton step of joints, in place, to close a leg at a pose; return its length."""
-    c, J, _ = _closure(leg, T, q, bent)
-    unknown = leg["unknown"]
-    step = _least_squares([[row[i] for i in unknown] for row in J], [-value for value in c])
-    length = _length(leg, unknown, step)
-    for i, change in zip(unknown, step, strict=True):
-        q[i] += min(1.0, LARGEST / max(length, LARGEST)) * change
-    return length
+        for i, (low, high) in enumerate(leg["limits"] if near is None and k < WITHIN else ()):
+            values[i] = max(low, min(high, values[i]))
+    _turn_back(leg, values, leg["home"] if near is None else near, near is None)
+    rows = _closure(leg, T, values)
+    closed = max(abs(row[-1]) for row in rows) <= CLOSED * leg["size"]
+    return values[: len(start)], closed and _mode(leg, rows) == leg["mode"]
 
 
 def _forward(readings: Row, known: Row, T: Row, near: Matrix) -> Solution:
-    """Return the pose of readings by Newton's method from a pose and joints."""
-    legs, joints = MACHINE["legs"], [list(q) for q in near]
-    bents: Matrix = []
-    T = _begun(readings, known, T, joints, bents)
+    """Return the pose of readings by Newton's method from a pose and joints; exact for an arm."""
+    legs, places = MACHINE["legs"], iter(range(len(readings)))
+    states = [[*q, *_deformations(leg, known)] for leg, q in zip(legs, near, strict=True)]
+    for leg, values in zip(legs, states, strict=True):
+        for place, sensor in zip(leg["active"], leg["sensors"], strict=False):
+            values[place] = _position(sensor, readings[next(places)], known)
+        if leg["arm"]:
+            tip, point = (_chain(leg["ends"][0][end], values)[0] for end in ("tip", "point"))
+            T = compose(tip, inverted(point))
     moved, mode, square = 1.0, 0.0, True
     for _ in range(STEPS):
-        T, moved, mode, square = _stepped(T, joints, bents)
+        T, moved, mode, square = _stepped(T, states)
         if not moved > SMALL:
             break
     gaps, in_mode = 0.0, mode == MACHINE["assembly"] or not square
-    for leg, q, bent in zip(legs, joints, bents, strict=True):
-        c, J, _ = _closure(leg, T, q, bent)
-        gaps = max(gaps, *map(abs, c))
-        in_mode = in_mode and _mode(leg, J) == leg["mode"]
+    for leg, values in zip(legs, states, strict=True):
+        rows = _closure(leg, T, values)
+        gaps = max(gaps, *(abs(row[-1]) for row in rows))
+        in_mode = in_mode and _mode(leg, rows) == leg["mode"]
+    joints = [values[: len(q)] for values, q in zip(states, near, strict=True)]
     if not moved <= SMALL or gaps > (CLOSED if square else 0.1) * MACHINE["size"]:
         return Solution(T, joints, "no pose found that closes all legs")
     reason = "" if in_mode else "left the working or assembly mode of home"
     return Solution(T, joints, reason)
 
 
-def _begun(readings: Row, known: Row, T: Row, joints: Matrix, bents: Matrix) -> Row:
-    """Set active joints, in place, from readings; return a starting pose, exact for an arm."""
-    T, places = list(T), iter(range(len(readings)))
-    for leg, q in zip(MACHINE["legs"], joints, strict=True):
-        for place, sensor in zip(leg["active"], leg["sensors"], strict=False):
-            q[place] = _position(sensor, readings[next(places)], known)
-        bents.append(_deformations(leg, known))
-        if leg["arm"]:
-            tip, point = (
-                _chain(leg["ends"][0][end], [*q, *bents[-1]])[0] for end in ("tip", "point")
-            )
-            T = compose(tip, inverted(point))
-    return T
-
-
-def _stepped(T: Row, joints: Matrix, bents: Matrix) -> tuple[Row, float, float, bool]:
+def _stepped(T: Row, states: Matrix) -> tuple[Row, float, float, bool]:
     """Return a pose after a Newton step, which moves passive joints in place.
 
     Also return the largest step, the sign of the determinant, and whether there are as many
@@ -258,11 +243,8 @@ def _stepped(T: Row, joints: Matrix, bents: Matrix) -> tuple[Row, float, float, 
     legs, sign = MACHINE["legs"], 1.0
     rows: Matrix = []
     reduced: list[Matrix] = []
-    for leg, q, bent in zip(legs, joints, bents, strict=True):
-        c, J, X = _closure(leg, T, q, bent)
-        count = len(leg["passive"])
-        parts = zip(J, X, c, strict=True)
-        A = [[*(row[i] for i in leg["passive"]), *by_pose, -gap] for row, by_pose, gap in parts]
+    for leg, values in zip(legs, states, strict=True):
+        A, count = _closure(leg, T, values, len(leg["active"])), len(leg["passive"])
         sign *= _triangularise(A, count)
         reduced.append(A)
         rows += [row[count:] for row in A[count:]]
@@ -272,61 +254,57 @@ def _stepped(T: Row, joints: Matrix, bents: Matrix) -> tuple[Row, float, float, 
     lengths = [abs(value) / MACHINE["size"] for value in twist[: MACHINE["lengths"]]]
     moved = max(*lengths, *map(abs, twist[MACHINE["lengths"] :]), 0.0)
     share = min(1.0, LARGEST / max(moved, LARGEST))
-    for leg, q, A in zip(legs, joints, reduced, strict=True):
+    for leg, values, A in zip(legs, states, reduced, strict=True):
         count = len(leg["passive"])
         for row in A:
             row[-1] -= share * _dot(row[count:-1], twist)
         step = _back_substituted(A, count)
         moved = max(moved, _length(leg, leg["passive"], step))
         for i, change in zip(leg["passive"], step, strict=True):
-            q[i] += change
+            values[i] += change
     return displaced(T, [share * value for value in twist]), moved, sign, len(rows) == dof
 
 
-def _closure(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> tuple[Row, Matrix, Matrix]:
-    """Return gaps of a leg's ends, [m], and derivatives by its joints and by the pose's twist."""
-    gaps: Row = []
-    by_joints: Matrix = []
-    by_pose: Matrix = []
-    n, size, twist = len(q), leg["size"], MACHINE["twist"]
+def _closure(leg: dict[str, Any], T: Row, values: Row, first: int = 0) -> Matrix:
+    """Return rows of a leg's ends: derivatives, by unknown joints and the pose, and minus the gap.
+
+    Gaps are in [m]. ``values`` are joints, then deformations; unknown joints count from ``first``.
+    """
+    rows: Matrix = []
+    unknown, origin = leg["unknown"][first:], [T[3], T[7], T[11]]
+    freedoms = [Move(f > 2, _unit(f % 3), origin, []) for f in MACHINE["twist"]]
     for end in leg["ends"]:
-        tip, moves = _chain(end["tip"], [*q, *bent])
+        tip, moves = _chain(end["tip"], values)
+        met, returning = _chain(end["frame" if end["loop"] else "point"], values)
+        axes = [[met[i], met[4 + i], met[8 + i]] for i in range(3)]
         if not end["loop"]:  # the end meets the platform, in the axes of the base
-            met = compose(T, _chain(end["point"], [*q, *bent])[0])
-            axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-            returning: list[Move] = []
-        else:
-            met, returning = _chain(end["frame"], [*q, *bent])
-            axes = [[met[i], met[4 + i], met[8 + i]] for i in range(3)]
-        columns = _columns(n, moves, returning, [tip[3], tip[7], tip[11]])
-        gap, arm = [tip[i] - met[i] for i in (3, 7, 11)], [met[i] - T[i] for i in (3, 7, 11)]
+            met, axes, returning = compose(T, met), [_unit(i) for i in range(3)], []
+        columns = _columns(len(leg["joints"]), moves, returning, [tip[3], tip[7], tip[11]])
+        gap, place = [tip[i] - met[i] for i in (3, 7, 11)], [met[3], met[7], met[11]]
         turn = rotation_vector(compose(tip, inverted(met))) if max(end["rows"]) > 2 else gap
         for row in end["rows"]:
             axis, angular = axes[row % 3], row > 2
-            scale, first = (size, 3) if angular else (1.0, 0)
-            gaps.append(scale * _dot(axis, turn if angular else gap))
-            by_joints.append([scale * _dot(axis, column[first : first + 3]) for column in columns])
+            scale = leg["size"] if angular else 1.0
             sign = 0.0 if end["loop"] else -scale
-            by_pose.append([sign * _dot(axis, _moved(f, arm)[first : first + 3]) for f in twist])
-    return gaps, by_joints, by_pose
+            by_joints = [scale * _dot(axis, columns[i][angular]) for i in unknown]
+            by_pose = [sign * _dot(axis, _twist(f, place)[angular]) for f in freedoms]
+            rows.append([*by_joints, *by_pose, -scale * _dot(axis, turn if angular else gap)])
+    return rows
 
 
-def _columns(n: int, moves: list[Move], returning: list[Move], place: Row) -> Matrix:
+def _unit(axis: int) -> Row:
+    return [float(axis == i) for i in range(3)]
+
+
+def _columns(n: int, moves: list[Move], returning: list[Move], place: Row) -> list[Matrix]:
     """Return velocity and spin of a tip, at a place, relative to a frame, by each of n joints."""
-    columns = [[0.0] * 6 for _ in range(n)]
+    columns = [[[0.0] * 3, [0.0] * 3] for _ in range(n)]
     for sign, motion in (*((1.0, move) for move in moves), *((-1.0, move) for move in returning)):
-        speed, spin = _twist(motion, place)
-        for source, rate in motion.rates:
-            if source < n:
-                for i, value in enumerate((*speed, *spin)):
-                    columns[source][i] += sign * rate * value
+        for part, vector in enumerate(_twist(motion, place)):
+            for source, rate in motion.rates:
+                for i in range(3 if source < n else 0):
+                    columns[source][part][i] += sign * rate * vector[i]
     return columns
-
-
-def _moved(freedom: int, arm: Row) -> Row:
-    """Return velocity and spin of a point of the platform by one of its freedoms."""
-    unit = [float(freedom % 3 == i) for i in range(3)]
-    return [*_cross(unit, arm), *unit] if freedom > 2 else [*unit, 0.0, 0.0, 0.0]
 
 
 class Move(NamedTuple):
@@ -429,23 +407,16 @@ def _turn_back(leg: dict[str, Any], q: Row, centre: Row, within_limits: bool) ->
     """Remove full turns of joints, in place: near a centre, and within limits if possible."""
     for i, (turns, (low, high)) in enumerate(zip(leg["turns"], leg["limits"], strict=True)):
         if turns and isfinite(q[i]):
-            q[i] = _near(q[i], centre[i])
+            q[i] = centre[i] + atan2(sin(q[i] - centre[i]), cos(q[i] - centre[i]))
             if within_limits and not low - 1e-9 <= q[i] <= high + 1e-9:
                 unwound = low - 1e-9 + (q[i] - low + 1e-9) % (2.0 * pi)
                 q[i] = unwound if unwound <= high + 1e-9 else q[i]
 
 
-def _near(angle: float, centre: float) -> float:
-    """Return an angle without full turns, within half a turn of a centre."""
-    return centre + atan2(sin(angle - centre), cos(angle - centre))
-
-
-def _mode(leg: dict[str, Any], J: Matrix) -> float:
+def _mode(leg: dict[str, Any], rows: Matrix) -> float:
     """Return the sign of the determinant by all joints; 1 if not square, or no joint is passive."""
-    unknown = leg["unknown"]
-    if len(unknown) != len(J) or not leg["passive"]:
-        return 1.0
-    return _triangularise([[row[i] for i in unknown] for row in J], len(unknown))
+    n = len(leg["unknown"])
+    return 1.0 if n != len(rows) or not leg["passive"] else _triangularise(rows, n)
 
 
 def _length(leg: dict[str, Any], places: list[int], step: Row) -> float:
@@ -455,12 +426,10 @@ def _length(leg: dict[str, Any], places: list[int], step: Row) -> float:
     return max(lengths, default=0.0)
 
 
-def _least_squares(A: Matrix, b: Row) -> Row:
-    """Return x that minimises |A x − b|; the shortest one if there are fewer rows than columns."""
-    n = len(A[0])
-    rows = [[*row, value] for row, value in zip(A, b, strict=True)]
-    if len(A) < n:
-        largest = max(max(map(abs, row)) for row in A)
+def _least_squares(rows: Matrix, n: int) -> Row:
+    """Return x that minimises |A x − b|, of rows [A b]; the shortest one of fewer rows than n."""
+    if len(rows) < n:
+        largest = max(max(map(abs, row[:n])) for row in rows)
         rows += [[DAMPING * largest * (i == j) for j in range(n)] + [0.0] for i in range(n)]
     _triangularise(rows, n)
     return _back_substituted(rows, n)
