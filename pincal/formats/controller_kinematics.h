@@ -26,7 +26,7 @@ typedef struct { double start[12]; int n_moves; const machine_move *moves; } mac
 typedef struct { double amplitude; int place; double a, b; int exponent; } machine_term;
 typedef struct { double slope, start; int n_terms; const machine_term *terms; } machine_sensor;
 typedef struct { int n_terms; const machine_term *terms; } machine_deformation;
-typedef struct { int n_rows; const int *rows; int loop; machine_chain tip, frame, point; } machine_end;
+typedef struct { int n_rows; const int *rows; int loop; machine_chain tip, met; } machine_end;
 typedef struct {
     const char *name;
     int n_joints, n_active, n_passive, n_unknown, n_sensors, n_deformations, n_ends, n_starts, rows, arm;
@@ -236,12 +236,12 @@ static inline double machine_closure(const machine_leg *leg, const double *T, co
         double tip[12], met[12], back[12], place[3], gap[3], turn[3], arm[3];
         double columns[6][MACHINE_MOST] = {{0}};
         machine_along(&end->tip, values, tip, joints[0]);
-        if (end->loop) machine_along(&end->frame, values, met, joints[1]);
-        else { machine_along(&end->point, values, met, NULL); machine_compose(T, met, met); }
+        machine_along(&end->met, values, met, joints[1]);
+        if (!end->loop) machine_compose(T, met, met);
         for (int i = 0; i < 3; i++) { place[i] = tip[4 * i + 3]; gap[i] = place[i] - met[4 * i + 3]; arm[i] = met[4 * i + 3] - T[4 * i + 3]; }
         machine_inverted(met, back); machine_compose(tip, back, back); machine_rotation_vector(back, turn);
         for (int side = 0; side <= end->loop; side++)
-            for (int i = 0; i < (side ? end->frame.n_moves : end->tip.n_moves); i++) {
+            for (int i = 0; i < (side ? end->met.n_moves : end->tip.n_moves); i++) {
                 double twist[6];
                 const machine_move *move = joints[side][i].move;
                 machine_twist(&joints[side][i], place, twist);
@@ -497,7 +497,7 @@ static inline int machine_forward_at(const double *readings, const double *known
         for (int j = 0; j < leg->n_active; j++, row++) values[l][leg->unknown[j]] = machine_position(leg->sensors + j, readings[row], known);
         machine_bend(leg, known, values[l] + leg->n_joints);
         if (leg->arm) {
-            machine_along(&leg->ends[0].point, values[l], place, NULL); machine_inverted(place, place);
+            machine_along(&leg->ends[0].met, values[l], place, NULL); machine_inverted(place, place);
             machine_along(&leg->ends[0].tip, values[l], T, NULL); machine_compose(T, place, T);
         }
     }

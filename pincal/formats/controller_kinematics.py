@@ -215,8 +215,8 @@ def _forward(readings: Row, known: Row, T: Row, near: Matrix) -> Solution:
         for place, sensor in zip(leg["active"], leg["sensors"], strict=False):
             values[place] = _position(sensor, readings[next(places)], known)
         if leg["arm"]:
-            tip, point = (_chain(leg["ends"][0][end], values)[0] for end in ("tip", "point"))
-            T = compose(tip, inverted(point))
+            end = leg["ends"][0]
+            T = compose(_chain(end["tip"], values)[0], inverted(_chain(end["met"], values)[0]))
     moved, mode, square = 1.0, 0.0, True
     for _ in range(STEPS):
         T, moved, mode, square = _stepped(T, states)
@@ -227,11 +227,10 @@ def _forward(readings: Row, known: Row, T: Row, near: Matrix) -> Solution:
         rows = _closure(leg, T, values)
         gaps = max(gaps, *(abs(row[-1]) for row in rows))
         in_mode = in_mode and _mode(leg, rows) == leg["mode"]
-    joints = [values[: len(q)] for values, q in zip(states, near, strict=True)]
+        del values[len(leg["joints"]) :]
     if not moved <= SMALL or gaps > (CLOSED if square else 0.1) * MACHINE["size"]:
-        return Solution(T, joints, "no pose found that closes all legs")
-    reason = "" if in_mode else "left the working or assembly mode of home"
-    return Solution(T, joints, reason)
+        return Solution(T, states, "no pose found that closes all legs")
+    return Solution(T, states, "" if in_mode else "left the working or assembly mode of home")
 
 
 def _stepped(T: Row, states: Matrix) -> tuple[Row, float, float, bool]:
@@ -275,7 +274,7 @@ def _closure(leg: dict[str, Any], T: Row, values: Row, first: int = 0) -> Matrix
     freedoms = [Move(f > 2, _unit(f % 3), origin, []) for f in MACHINE["twist"]]
     for end in leg["ends"]:
         tip, moves = _chain(end["tip"], values)
-        met, returning = _chain(end["frame" if end["loop"] else "point"], values)
+        met, returning = _chain(end["met"], values)
         axes = [[met[i], met[4 + i], met[8 + i]] for i in range(3)]
         if not end["loop"]:  # the end meets the platform, in the axes of the base
             met, axes, returning = compose(T, met), [_unit(i) for i in range(3)], []

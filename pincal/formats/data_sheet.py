@@ -152,24 +152,6 @@ _NO_DELTA = "no delta that LinuxCNC has kinematics for"
 _ALIKE = 0.05  # largest error of a delta's kinematics, over the size, for a machine to be one
 
 
-def _delta_joints(kind: str, parameters: Array, positions: Array) -> Array:
-    """Return the joints of LinuxCNC's deltas at positions in its frame, (N, 3), [m] or [rad].
-
-    ``parameters``, [m], are radius and rod, or hip minus foot radius, shin and thigh.
-    """
-    azimuths = np.radians(_AHEAD[kind] + np.array([0.0, 120.0, 240.0]))
-    along, z = np.array([np.cos(azimuths), np.sin(azimuths)]), positions[:, 2:]
-    ahead = positions[:, :2] @ along - parameters[0]
-    aside = positions[:, :2] @ np.array([-along[1], along[0]])
-    rod = parameters[1]
-    with np.errstate(invalid="ignore"):  # out of reach
-        if kind == "lineardeltakins":
-            return np.asarray(z + np.sqrt(rod**2 - ahead**2 - aside**2))
-        thigh = parameters[2]
-        reach = (thigh**2 + ahead**2 + aside**2 + z**2 - rod**2) / (2.0 * thigh)
-        return np.asarray(-np.arctan2(z, ahead) - np.arccos(reach / np.hypot(ahead, z)))
-
-
 def _delta_legs(mechanism: Mechanism) -> tuple[str, list[int], Array, list[float], float]:
     """Return a delta's kinematics, and the values from which its fit starts.
 
@@ -211,12 +193,25 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
     begin = np.array([0.0, 0.0, 0.0, azimuth - np.radians(_AHEAD[kind]), 0.0, 0.0, 0.0, *sizes])
 
     def drives(unknowns: Array) -> Array:
-        """Return joints minus zeros, (N, 3); unknowns are a frame (4), zeros (3) and lengths."""
-        (x, y, z, turn), zeros, lengths = np.split(unknowns, [4, 7])
+        """Return LinuxCNC's joints minus zeros, (N, 3), [m] or [rad].
+
+        Unknowns are a frame (4), zeros (3), and radius and rod, or hip minus foot radius, shin and
+        thigh, [m].
+        """
+        (x, y, z, turn), zeros, (radius, rod, *thigh) = np.split(unknowns, [4, 7])
         c, s = np.cos(turn), np.sin(turn)
         frame = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         shift = np.array([x, y, z * turning])  # a carriage's zero already shifts along z
-        return _delta_joints(kind, lengths, (poses - shift) @ frame) - zeros
+        positions = (poses - shift) @ frame
+        azimuths = np.radians(_AHEAD[kind] + np.array([0.0, 120.0, 240.0]))
+        along, z = np.array([np.cos(azimuths), np.sin(azimuths)]), positions[:, 2:]
+        ahead = positions[:, :2] @ along - radius
+        aside = positions[:, :2] @ np.array([-along[1], along[0]])
+        with np.errstate(invalid="ignore"):  # out of reach
+            if not thigh:
+                return np.asarray(z + np.sqrt(rod**2 - ahead**2 - aside**2)) - zeros
+            reach = (thigh[0] ** 2 + ahead**2 + aside**2 + z**2 - rod**2) / (2.0 * thigh[0])
+            return -np.arctan2(z, ahead) - np.arccos(reach / np.hypot(ahead, z)) - zeros
 
     def missed_by(unknowns: Array) -> Array:
         return np.nan_to_num(drives(unknowns) - q)

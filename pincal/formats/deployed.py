@@ -144,7 +144,7 @@ def c_header(deployed: Deployed, prefix: str) -> str:
     """Return the kinematics of a machine as a C99 header; names begin with ``prefix``."""
     tables = deployed.tables
     legs, load = tables["legs"], tables["load"]
-    chains = [chain for leg in legs for end in leg["ends"] for chain in (end["tip"], end["frame"])]
+    chains = [chain for leg in legs for end in leg["ends"] for chain in (end["tip"], end["met"])]
     chains += [chain for _, chain in load["bodies"]]
     reduced = sum(leg["rows"] - len(leg["passive"]) for leg in legs)
     sizes = {
@@ -225,8 +225,7 @@ def _leg(machine: Mechanism, closure: LegClosure, starts: Array) -> Table:
             "rows": Several("int", machine.platform.closing(end)),
             "loop": isinstance(end.meets, str),
             "tip": _chain(leg, _path(leg, end.tip), sources),
-            "frame": _chain(leg, _path(leg, end.meets), sources),
-            "point": _chain(leg, () if end.point is None else (end.point,), sources),
+            "met": _chain(leg, _path(leg, end.meets), sources),
         }
         for end in leg.every_end
     ]
@@ -252,8 +251,8 @@ def _leg(machine: Mechanism, closure: LegClosure, starts: Array) -> Table:
 
 
 def _path(leg: Leg, end: str | Joint) -> list[Joint]:
-    """Return the joints from the base to a joint of the leg; none for a platform point."""
-    return [leg.joints[place] for place in leg.path(end)] if isinstance(end, str) else []
+    """Return the joints from the base to a joint of the leg; a platform point is a single joint."""
+    return [leg.joints[place] for place in leg.path(end)] if isinstance(end, str) else [end]
 
 
 def _rows(matrix: Array) -> list[float]:

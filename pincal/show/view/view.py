@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from http import HTTPStatus
@@ -24,7 +25,6 @@ from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
 from pincal.show.answers import warnings
 from pincal.show.report import Page
 from pincal.show.view.meshes import with_meshes
@@ -112,20 +112,14 @@ def view(
         True
     """
     mechanism = as_mechanism(mechanism)
-    poses = _some_poses(mechanism) if poses is None else poses
+    if poses is None:
+        plans = [home_of(mechanism)]
+        with suppress(WorkspaceError):  # no workspace with the default margins
+            plans.append(sample_configurations(mechanism, 24))
+        read = [plan.readings for plan in plans if plan.readings is not None]
+        readings = np.concatenate(read) if read else None
+        poses = Plan(np.concatenate([plan.poses for plan in plans]), readings=readings)
     return View(scene(mechanism, poses, identified, magnify))
-
-
-def _some_poses(mechanism: Mechanism) -> Plan:
-    """Return home and, if there is a workspace, some of its configurations."""
-    home = home_of(mechanism)
-    try:
-        sampled = sample_configurations(mechanism, 24)
-    except WorkspaceError:  # none with the default margins
-        return home
-    read = [plan.readings for plan in (home, sampled) if plan.readings is not None]
-    readings = np.concatenate(read) if read else None
-    return Plan(np.concatenate((home.poses, sampled.poses)), readings=readings)
 
 
 Respond = Callable[[str, Mapping[str, str], str], tuple[str, str | bytes] | None]
