@@ -682,12 +682,16 @@ def test_calibrate_spares_a_file_in_the_results_place(work: Path) -> None:
 
 
 def test_demo_spares_a_file_in_its_folders_place(work: Path) -> None:
-    """A file is not replaced by demo's folder: it is refused by name, even with --force."""
+    """Demo's folder replaces no file, even with --force, and hides no mechanism: it is refused."""
     Path("taken").write_text("keep")
     before = contents(work)
     outcome = run("demo", "5R", "-o", "taken", "--force")
     assert outcome.code == 2
     assert "taken" in outcome.trouble
+    assert contents(work) == before
+    outcome = run("demo", "5R", "-o", "5R")
+    assert outcome.code == 2
+    assert "5R would hide the mechanism of that name" in outcome.trouble
     assert contents(work) == before
 
 

@@ -314,6 +314,8 @@ def demo(
     mechanism = pincal.load_mechanism(mech)
     if output is None:
         output = Path(tempfile.mkdtemp(prefix="pincal-demo-"))
+    elif output == Path(mech):
+        raise FileError(f"{output} would hide the mechanism of that name; name another folder")
     elif not output.is_dir():
         refuse_existing(output, force=False).mkdir()
     elif any(output.iterdir()) and not force:

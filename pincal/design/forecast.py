@@ -58,9 +58,8 @@ def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
 
 
 def touching(mechanism: Mechanism, plan: Plan, setup: Setup, errors: Array | float = 0.0) -> Plan:
-    """Return a plan whose contacts touch up to errors, (N, 3), [m]: see ``relations.touching``."""
-    touched = {name: contact for name, contact in setup.contacts.items() if name != ROW}
-    contacts = {name: replace(contact, gauge=False) for name, contact in touched.items()}
+    """Return a plan whose contacts touch up to errors, (N, 3), [m]: see ``Observation``."""
+    contacts = {n: replace(c, gauge=False) for n, c in setup.contacts.items() if n != ROW}
     if not contacts:
         return plan
     readings = np.zeros((len(plan), len(mechanism.reading_names)))

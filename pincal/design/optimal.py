@@ -170,11 +170,7 @@ class ContinuousDesign:
 
 
 def continuous_design(rows: Parts, criterion: Criterion = DETERMINANT) -> ContinuousDesign:
-    """Return a nearly optimal continuous design and its bound.
-
-    Args:
-        rows: Rows of each candidate, an array (M, r, n) for each part of the parameters.
-        criterion: Criterion to maximise; log det if not given.
+    """Return a nearly optimal continuous design of M candidates, and its bound.
 
     Raises:
         ObservabilityError: all candidates together leave a parameter undetermined.
@@ -312,14 +308,7 @@ def exchange(
     The first start rounds the continuous design, the others are drawn by its weights. Swaps use a
     pool of candidates, which then grows by the candidates that would improve the best set to first
     order; the next starts are this set and others near it. The search ends without improvement.
-
-    Args:
-        rows: Rows of each candidate, as for ``continuous_design``.
-        count: Size of the set, without repetition.
-        priority: Priority of candidates for the pool, the largest first, shape (M,).
-        rng: Source of the random starts.
-        starts: Number of starts.
-        criterion: Criterion to maximise; log det if not given.
+    The pool begins with the candidates of largest ``priority``, shape (M,).
 
     Raises:
         ObservabilityError: there are fewer candidates than the set needs.

@@ -227,13 +227,8 @@ def sheet_columns(
 ) -> Columns:
     """Return the columns of a measuring sheet: planned values, and empty cells to fill in.
 
-    Args:
-        mechanism: The mechanism.
-        plan: Poses with their readings.
-        measured: Measured quantities: freedoms of the platform, columns of the setup; the pose by
-            default.
-        setup: Setup with further columns.
-        units: Units of all columns; mm and degrees by default.
+    ``measured`` names freedoms of the platform and columns of the setup, by default the pose. All
+    columns are in ``units``, by default mm and degrees.
 
     Raises:
         MeasurementError: the plan has no readings.

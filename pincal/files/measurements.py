@@ -118,7 +118,6 @@ def read_measurements(
     table = every_row.where_measured(columns)
     pixels, sigma_pixels = read_corners(setup, every_row, table.lines)
     _check_columns(table, mechanism, setup, further)
-    way = _way(table, mechanism)
     poses = _poses(table, mechanism, partial=partial)
     if level and "z" in table:
         poses = _levelled(table, setup, poses)
@@ -140,7 +139,7 @@ def read_measurements(
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,
-        written=way,
+        written=_way(table, mechanism),
     )
     return data.rows(np.arange(len(data)))  # drops relations to rows that were skipped
 

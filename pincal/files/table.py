@@ -1,4 +1,4 @@
-"""Tables whose headers carry units: columns of text, their numbers in SI, and writing them.
+"""Tables with units in their headers, CSV or .xlsx: columns of text, numbers in SI; writing them.
 
 Headers are ``x [mm]``, ``phi [deg]``, ``leg_1 [rad]``. Written numbers are read back bit for bit.
 """
@@ -10,35 +10,38 @@ import io
 import logging
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+import warnings
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
+import lazy_loader
 import numpy as np
 
-from pincal.errors import MeasurementError
-from pincal.files.book import MOST_COLUMNS, sheet_rows, write_book
+from pincal.errors import FileError, MeasurementError
 from pincal.files.output import writing
-from pincal.files.text import LARGEST_FILE, Numeral, plain_number, read_text, why_no_number
+from pincal.files.text import (
+    LARGEST_FILE,
+    Numeral,
+    in_plain_digits,
+    plain_number,
+    read_bytes,
+    read_text,
+    why_no_number,
+)
 from pincal.model.checks import LARGEST, must_be
 from pincal.types import Array
 from pincal.words.numbers import COUNTS, SCALE, SI, UNITS, Units
 
+openpyxl: Any = lazy_loader.load("openpyxl")
+xlsxwriter: Any = lazy_loader.load("xlsxwriter")
 _log = logging.getLogger(__name__)
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
-_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
-_GROUPED = r"[-+]?[1-9]\d{{0,2}}({0}\d{{3}})+"
-_SPACES = "['’ \u00a0\u202f]"
-_THOUSANDS = {
-    ",": re.compile(_GROUPED.format(",") + r"\.\d+", re.ASCII),
-    r"\.": re.compile(_GROUPED.format(r"\.") + r",\d+", re.ASCII),
-    _SPACES: re.compile(_GROUPED.format(_SPACES) + r"([.,]\d+)?", re.ASCII),
-}
-"""Separators of thousands, as patterns, and numbers that certainly contain them."""
+_MOST_COLUMNS, _MOST_ROWS = 1000, 2**20  # columns and rows of a sheet
 _MOST_TITLES = 30  # most rows above the headers
 #: Suffixes of files that are not read, and the format to convert them to.
 _OTHER_KINDS = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": "CSV"}
@@ -154,7 +157,7 @@ def write_table(
         cells = (map(cell_text, values) for values in columns.values())
         rows = [list(columns), *map(list, zip(*cells, strict=True))]
         if Path(path).suffix.lower() == ".xlsx":
-            write_book(scratch, rows)
+            _write_book(scratch, rows)
             return
         with scratch.open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows(rows)
@@ -181,7 +184,7 @@ def read_table(source: Any) -> TextTable:
     path = Path(must_be(source, (str, Path), "a table", MeasurementError, kinds))
     suffix = path.suffix.lower()
     if suffix == ".xlsx":
-        return _of_rows(path, sheet_rows(path), "row", "")
+        return _of_rows(path, _sheet_rows(path), "row", "")
     if suffix in _OTHER_KINDS:
         raise MeasurementError(
             f"{path}: {suffix} files are not read; save the table as {_OTHER_KINDS[suffix]}"
@@ -223,7 +226,7 @@ def _of_rows(
         raise MeasurementError(f"{path}: a header but no rows")
     notes = [separated] if separated else []
     notes += [f"{titles} {counted}s above the headers skipped"] if titles else []
-    notes += _in_plain_digits(rows, [*units.values()], commas=separated is not None)
+    notes += in_plain_digits(rows, [*units.values()], commas=separated is not None)
     if notes:
         _log.info("%s: %s", path, ", ".join(notes))
     text = dict(zip(units, map(list, zip(*rows, strict=True)), strict=True))
@@ -237,47 +240,71 @@ def _titles(rows: Sequence[Sequence[str]]) -> int:
     return next(headed, next(several, 0))
 
 
-def _in_plain_digits(
-    rows: list[list[str]], units: Sequence[str | None], *, commas: bool
-) -> list[str]:
-    """Write 1234.5 for 1,234.5, 1.234,5 and 1234,5 in place; return notes on what was replaced.
+def _write_book(path: Path, rows: Sequence[Sequence[str]]) -> None:
+    """Write rows of text to an .xlsx file, the first bold, cells to measure coloured.
 
-    A sign separates thousands if a number in a column with a unit certainly has it as a separator,
-    and no number has it as the decimal sign. Commas are decimal commas if ``commas`` allows it and
-    no cell has a decimal point (numbers of a sheet do not count). Other cells are not changed.
+    The file is made in memory: only ``path`` is written. A table that is too large for a sheet is
+    a FileError.
     """
-    texts = _typed(rows, range(len(units)))
-    measured = _typed(rows, [place for place, unit in enumerate(units) if unit])
-    signs = [sign for sign in _THOUSANDS if _separates(sign, measured)]
-    plain = {cell: _ungrouped(cell, signs) for cell in texts}
-    decimal = {cell for cell, digits in plain.items() if _DECIMAL_COMMA.fullmatch(digits)}
-    commas &= bool(decimal) and not any(map(_DECIMAL_POINT.fullmatch, plain.values()))
-    plain |= {cell: plain[cell].replace(",", ".") for cell in decimal if commas}
-    for row in rows:
-        row[:] = [x if isinstance(x, Numeral) else plain[x.strip()] for x in row]
-    return ["thousands separators"] * bool(signs) + ["decimal commas"] * commas
+    data, as_text = io.BytesIO(), {"strings_to_formulas": False, "strings_to_urls": False}
+    with xlsxwriter.Workbook(data, {"in_memory": True, **as_text}) as book:
+        sheet = book.add_worksheet("measure")
+        sheet.freeze_panes(1, 0)
+        bold, to_measure = book.add_format({"bold": True}), book.add_format({"bg_color": "#FFF2CC"})
+        for column, head in enumerate(rows[0]):
+            sheet.set_column(column, column, max(8, len(head) + 2))
+            for number, text in enumerate(texts[column] for texts in rows):
+                style = to_measure if not text and "[" in head else None
+                value = plain_number(text)
+                cell = value if np.isfinite(value) else text
+                if sheet.write(number, column, cell, style if number else bold):
+                    raise FileError(f"a sheet holds {_MOST_ROWS} rows at most; name a .csv file")
+    path.write_bytes(data.getvalue())
 
 
-def _typed(rows: list[list[str]], columns: Sequence[int]) -> set[str]:
-    """Return the cells of some columns that were typed as text, unlike numbers of a sheet."""
-    return {row[i].strip() for row in rows for i in columns if not isinstance(row[i], Numeral)}
+def _sheet_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield number and cells of each row of an .xlsx file's first sheet, without blank columns.
+
+    A cell with an error (``#DIV/0!``), or a formula that was never computed, says so: it is not
+    empty.
+    """
+    data = io.BytesIO(read_bytes(path, LARGEST_FILE["table"], MeasurementError))
+    rows: dict[int, dict[int, str]] = {}
+    try:
+        with warnings.catch_warnings(action="ignore"), zipfile.ZipFile(data) as archive:
+            if sum(part.file_size for part in archive.infolist()) > LARGEST_FILE["table"]:
+                raise MeasurementError("its sheet is larger than 256 MiB; save it as CSV")
+            read = []
+            for computed in (True, False):
+                book = openpyxl.load_workbook(data, read_only=True, data_only=computed)
+                book.worksheets[0].reset_dimensions()  # as the file says them they may be wrong
+                read.append(book.worksheets[0].iter_rows(max_row=_MOST_ROWS))
+            for cells in zip(*read, strict=True):
+                for value, formula in zip(*cells, strict=True):
+                    if text := _cell_of(value, formula):
+                        rows.setdefault(value.row, {})[value.column] = text
+    except MeasurementError as error:
+        raise MeasurementError(f"{path}: {error}") from error
+    except Exception as error:  # what openpyxl makes of other files is not declared
+        raise MeasurementError(f"{path}: no .xlsx file: {error}") from error
+    columns = sorted({column for row in rows.values() for column in row})
+    for number in sorted(rows):
+        yield number, [rows[number].get(column, "") for column in columns]
 
 
-def _separates(sign: str, cells: Iterable[str]) -> bool:
-    """Return whether a sign separates thousands in some cell, and is the decimal sign of none."""
-    decimal = {",": _DECIMAL_COMMA, r"\.": _DECIMAL_POINT}.get(sign)
-    sure, numbers = _THOUSANDS[sign], [cell for cell in cells if re.search(sign, cell)]
-    if decimal and any(map(decimal.fullmatch, (_ungrouped(cell, [sign]) for cell in numbers))):
-        return False
-    return any(map(sure.fullmatch, numbers))
-
-
-def _ungrouped(cell: str, signs: Sequence[str]) -> str:
-    """Return a cell without its separators of thousands, if it is a number with such signs."""
-    for sign in signs:
-        if re.fullmatch(_GROUPED.format(sign) + r"([.,]\d+)?", cell, re.ASCII):
-            return re.sub(sign, "", cell)
-    return cell
+def _cell_of(value: Any, formula: Any) -> str:
+    """Return what a cell holds as text, of which ``formula`` is the cell with its formula."""
+    text = "" if value.value is None else str(value.value).strip()
+    uncomputed = formula.data_type == "f" and not text and value.data_type != "str"
+    if uncomputed or (text and value.column > _MOST_COLUMNS) or value.data_type == "e":
+        place = f"in cell {value.coordinate} of sheet {value.parent.title}"
+        if value.column > _MOST_COLUMNS:
+            raise MeasurementError(
+                f"something stands {place}, too far from the other cells to be read; delete the "
+                "rows and columns beyond the table"
+            )
+        return f"{text or 'formula that was never computed'} {place}"
+    return Numeral(text) if value.data_type == "n" else text
 
 
 def renamed(table: TextTable, headers: Mapping[str, str]) -> TextTable:
@@ -317,8 +344,8 @@ def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:
 
 
 def _header(path: Path, header: Sequence[str], line: int, counted: str) -> dict[str, str | None]:
-    if len(header) > MOST_COLUMNS:
-        raise MeasurementError(f"{path}: {len(header)} columns; more than {MOST_COLUMNS}")
+    if len(header) > _MOST_COLUMNS:
+        raise MeasurementError(f"{path}: {len(header)} columns; more than {_MOST_COLUMNS}")
     units: dict[str, str | None] = {}
     if nameless := [index + 1 for index, cell in enumerate(header) if not cell.strip()]:
         raise MeasurementError(

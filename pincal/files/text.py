@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
@@ -34,7 +34,18 @@ _BEGUN = re.compile(r"\s*[-+.]?[0-9].*[^-+.0-9eE\s]")  # 0,02 and 0.02mm
 _NUMBER_WITH_UNIT = re.compile(
     r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf))\s*\[?([^\d\s\]]*)\]?\s*"
 )
-_LINE = re.compile("\r\n|\r|\n")
+LINE_END = re.compile("\r\n|\r|\n")
+"""End of a line by Unix, Windows or old Macs."""
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
+_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
+_GROUPED = r"[-+]?[1-9]\d{{0,2}}({0}\d{{3}})+"
+_SPACES = "['’ \u00a0\u202f]"
+_THOUSANDS = {
+    ",": re.compile(_GROUPED.format(",") + r"\.\d+", re.ASCII),
+    r"\.": re.compile(_GROUPED.format(r"\.") + r",\d+", re.ASCII),
+    _SPACES: re.compile(_GROUPED.format(_SPACES) + r"([.,]\d+)?", re.ASCII),
+}
+"""Separators of thousands, as patterns, and numbers that certainly contain them."""
 
 
 @contextmanager
@@ -97,7 +108,7 @@ def read_text(
     if _UTF16.match(data):
         raise error_type(f"{path}: UTF-16 text; save it as UTF-8{excel}")
     if (nul := data.find(b"\0")) >= 0:
-        line = len(_LINE.findall(data[:nul].decode("latin-1"))) + 1
+        line = len(LINE_END.findall(data[:nul].decode("latin-1"))) + 1
         raise error_type(f"{path}: no text, line {line} has NUL bytes; save it as UTF-8{excel}")
     try:
         return data.decode("utf-8-sig")
@@ -107,15 +118,10 @@ def read_text(
                 text = data.decode(otherwise)
                 _log.info("%s: not UTF-8; read as %s", path, otherwise)
                 return text
-        line = len(_LINE.findall(data[: error.start].decode("latin-1"))) + 1
+        line = len(LINE_END.findall(data[: error.start].decode("latin-1"))) + 1
         raise error_type(
             f"{path}: not UTF-8 text ({error.reason} in line {line}); save it as UTF-8{excel}"
         ) from error
-
-
-def lines_of(text: str) -> list[str]:
-    """Return the lines of a text, which end as Unix, Windows or old Macs end them."""
-    return _LINE.split(text)
 
 
 class Numeral(str):
@@ -129,6 +135,49 @@ def plain_number(text: str) -> float:
         return float(bare) if bare.isascii() and "_" not in bare else nan
     except ValueError:
         return nan
+
+
+def in_plain_digits(
+    rows: list[list[str]], units: Sequence[str | None], *, commas: bool
+) -> list[str]:
+    """Write 1234.5 for 1,234.5, 1.234,5 and 1234,5 in place; return notes on what was replaced.
+
+    A sign separates thousands if a number in a column with a unit certainly has it as a separator,
+    and no number has it as the decimal sign. Commas are decimal commas if ``commas`` allows it and
+    no cell has a decimal point (numbers of a sheet do not count). Other cells are not changed.
+    """
+    texts = _typed(rows, range(len(units)))
+    measured = _typed(rows, [place for place, unit in enumerate(units) if unit])
+    signs = [sign for sign in _THOUSANDS if _separates(sign, measured)]
+    plain = {cell: _ungrouped(cell, signs) for cell in texts}
+    decimal = {cell for cell, digits in plain.items() if _DECIMAL_COMMA.fullmatch(digits)}
+    commas &= bool(decimal) and not any(map(_DECIMAL_POINT.fullmatch, plain.values()))
+    plain |= {cell: plain[cell].replace(",", ".") for cell in decimal if commas}
+    for row in rows:
+        row[:] = [x if isinstance(x, Numeral) else plain[x.strip()] for x in row]
+    return ["thousands separators"] * bool(signs) + ["decimal commas"] * commas
+
+
+def _typed(rows: list[list[str]], columns: Sequence[int]) -> set[str]:
+    """Return the cells of some columns that were typed as text, unlike numbers of a sheet."""
+    return {row[i].strip() for row in rows for i in columns if not isinstance(row[i], Numeral)}
+
+
+def _separates(sign: str, cells: Iterable[str]) -> bool:
+    """Return whether a sign separates thousands in some cell, and is the decimal sign of none."""
+    decimal = {",": _DECIMAL_COMMA, r"\.": _DECIMAL_POINT}.get(sign)
+    sure, numbers = _THOUSANDS[sign], [cell for cell in cells if re.search(sign, cell)]
+    if decimal and any(map(decimal.fullmatch, (_ungrouped(cell, [sign]) for cell in numbers))):
+        return False
+    return any(map(sure.fullmatch, numbers))
+
+
+def _ungrouped(cell: str, signs: Sequence[str]) -> str:
+    """Return a cell without its separators of thousands, if it is a number with such signs."""
+    for sign in signs:
+        if re.fullmatch(_GROUPED.format(sign) + r"([.,]\d+)?", cell, re.ASCII):
+            return re.sub(sign, "", cell)
+    return cell
 
 
 def in_si(text: str, dimensions: str, bare: str | None = "") -> float:

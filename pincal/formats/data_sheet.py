@@ -28,11 +28,16 @@ Columns = dict[str, list[str] | Array]
 
 
 def _geometry(leg: Leg, platform: Platform, parameters: Array) -> dict[str, tuple[str, Array]]:
-    """Return a leg's dimensions by name: unit, and one or three numbers; {} if not known."""
+    """Return a leg's dimensions by name: unit, and one or three numbers.
+
+    A leg without a closed form has its parameters instead.
+    """
     closure = LegClosure(leg, platform, parameters)
     form, law = closed_form(closure), sensor_law(closure)
     if form is None or leg.active != [form.driven] or law.terms:
-        return {}
+        return {
+            name: (leg.units[name], parameters[[i]]) for i, name in enumerate(leg.nominal_by_name)
+        }
     point = closure.targets(np.eye(4)[None])[0]
     start, slope = law.intercept[0], law.slope[0]
     gained = {"reading: gain": ("1", np.array([1.0 / slope]))}
@@ -76,8 +81,8 @@ def geometry_sheet(
         units: Units of lengths and angles.
 
     Returns:
-        Columns leg, what, axis, value, standard error and unit; a leg without a closed form has its
-        parameters instead. Standard errors are NaN if not known or not determined.
+        Columns leg, what, axis, value, standard error and unit. Standard errors are NaN if not
+        known or not determined.
     """
     rows: list[tuple[str, str, str, float, float, str]] = []
     end = 0
@@ -85,18 +90,13 @@ def geometry_sheet(
         nominal, platform = leg.nominal, mechanism.platform
         part, end = slice(end, end + len(nominal)), end + len(nominal)
         described = _geometry(leg, platform, nominal)
-        if not described:
-            described = {n: (leg.units[n], nominal[[i]]) for i, n in enumerate(leg.parameter_names)}
         flat = np.concatenate([values for _, values in described.values()])
         std = np.full(len(flat), np.nan)
         if uncertain is not None:
             by_parameter = np.zeros((len(flat), len(nominal)))
             for place, step in enumerate(_STEP * np.eye(len(nominal))):
-                ends = []
-                for moved in (nominal + step, nominal - step):
-                    sheet = _geometry(leg, platform, moved)
-                    parts = [v for _, v in sheet.values()] if sheet else [moved]
-                    ends.append(np.concatenate(parts))
+                sheets = (_geometry(leg, platform, nominal + way * step) for way in (1.0, -1.0))
+                ends = [np.concatenate([v for _, v in sheet.values()]) for sheet in sheets]
                 by_parameter[:, place] = (ends[0] - ends[1]) / (2.0 * _STEP)
             covariance, lost = uncertain[0][part, part], uncertain[1]
             std = np.sqrt(np.einsum("ij,jk,ik->i", by_parameter, covariance, by_parameter).clip(0))

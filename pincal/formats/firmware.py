@@ -28,7 +28,7 @@ from typing import Literal
 import numpy as np
 
 from pincal.errors import MechanismError, located
-from pincal.files.text import LARGEST_FILE, lines_of, plain_number, read_text
+from pincal.files.text import LARGEST_FILE, LINE_END, plain_number, read_text
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
 from pincal.model.checks import LARGEST
 from pincal.model.measurements import Measurements
@@ -115,7 +115,7 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
 def _commands(text: str, known: Mapping[str, str]) -> dict[str, list[float]]:
     """Return the numbers after each letter of M665 and M666, by command and letter: ``665L``."""
     numbers: dict[str, list[float]] = {}
-    for number, line in enumerate(lines_of(text), start=1):
+    for number, line in enumerate(LINE_END.split(text), start=1):
         command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0].removeprefix("echo:"))
         words = re.split(r"(?=[A-Za-z])", command[2].strip()) if command else []
         for word in filter(None, words):
@@ -205,7 +205,7 @@ class _Options(configparser.RawConfigParser):
 
     def __init__(self, text: str) -> None:
         super().__init__(strict=False, inline_comment_prefixes=(";", "#"))
-        lines = lines_of(text)
+        lines = LINE_END.split(text)
         saved = [line[len(_SAVED) :] for line in lines if line.startswith(_SAVED.rstrip())]
         heading = next((i for i, line in enumerate(saved) if line.startswith("[")), len(saved))
         regular = [line.split("#")[0] for line in lines if not line.startswith(_SAVED.rstrip())]

@@ -30,10 +30,8 @@ _INCH = 0.0254  # [m]
 def board_figure(board: Board, paper: str = "") -> Figure:
     """Return a page that shows a board in true size.
 
-    Args:
-        board: The board.
-        paper: One of ``PAPERS``; the smallest A size on which it fits, or a page as large as the
-            board, if not given.
+    Without a paper of ``PAPERS`` it is of the smallest A size that fits, or else as large as the
+    board.
 
     Raises:
         MeasurementError: the paper is too small for the board.

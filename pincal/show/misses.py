@@ -192,12 +192,10 @@ def workspace_errors(result: CalibrationResult, poses: Plan | None = None) -> Wo
     """
     if poses is not None:
         return errors_at(result, poses, "the poses given")
-    try:
+    with suppress(WorkspaceError):
         sampled = errors_at(result, sample_configurations(result.nominal, _SAMPLES))
         if sampled.expected.within.any():
             return sampled
-    except WorkspaceError:
-        pass
     return errors_at(result, measured_plan(result), _MEASURED)
 
 

@@ -88,9 +88,7 @@ def rounded(value: float, digits: int = 2) -> str:
     near = float(f"{value:.{digits}g}")
     if not 1e-9 <= abs(near) < 1e12:  # 0, or a size that is unreadable without an exponent
         return f"{near:g}"
-    places = max(digits - 1 - floor(log10(abs(near))), 0)
-    text = f"{near:.{places}f}"
-    return text.rstrip("0").rstrip(".") if places else text
+    return np.format_float_positional(near, trim="-")
 
 
 def chance(p_value: float) -> str:

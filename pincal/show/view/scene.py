@@ -234,12 +234,10 @@ def moved(shown: Scene, row: int, shift: Array) -> Scene:
     if mechanism.by_readings:
         plan = Plan(pose, readings=readings + shift[:width])
         poses, _, (reason,) = command(mechanism, plan)
-        if carried and not reason:
-            plan = _carried(mechanism, Plan(poses, readings=plan.readings), shift[width:])
-            poses, _, (reason,) = command(mechanism, plan)
         if reason:
             raise MechanismError(reason)
         plan = Plan(poses, readings=plan.readings)
+        plan = _carried(mechanism, plan, shift[width:]) if carried else plan
     else:
         matrices = platform.displaced(platform.matrices(pose), shift[None])
         measured = None if shown.plan.readings is None else np.full_like(readings, np.nan)
