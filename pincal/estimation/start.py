@@ -22,7 +22,7 @@ from pincal.estimation.noise import target_positions
 from pincal.estimation.observation import Observation
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.unknowns import External, State
-from pincal.kinematics.batches import lengths, turn_of_points
+from pincal.kinematics.batches import lengths, motion_of_points
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import inverse
@@ -31,7 +31,6 @@ from pincal.kinematics.forward import placed_by_arm
 from pincal.kinematics.singularity import platform_margin
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
 from pincal.model.relations import ORIGIN
 from pincal.types import Array, Mask
 from pincal.words.numbers import amount
@@ -295,11 +294,14 @@ def _frame_and_offsets(
     frame, offsets = state.external.frame, state.external.offsets.copy()
     unknown = {i for i, target in enumerate(setup.targets.values()) if target.unknown}
     still, known = _STILL * max(np.ptp(r), 1e-300), weights > 0.0
+    points = r + (R @ offsets[:, None, :, None])[..., 0]
+    if setup.unknown_frame:
+        _check_alignable(points[known], measured[known], platform.space)
     for _ in range(_TURNS if unknown or absolute else 1):
         before = offsets.copy()
         if setup.unknown_frame:
-            points = r + (R @ offsets[:, None, :, None])[..., 0]
-            frame = _kabsch(points[known], measured[known], weights[known], platform)
+            pair = points[known], measured[known]
+            frame = motion_of_points(*pair, platform.space, weights=weights[known])
         inside = (measured - frame[:3, 3]) @ frame[:3, :3]
         for index in unknown:
             if (rows := known[index]).any():
@@ -316,8 +318,8 @@ def _frame_and_offsets(
     return frame, offsets, missed
 
 
-def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform) -> Array:
-    """Return the rigid motion (4, 4) of least squares from nominal to measured points."""
+def _check_alignable(nominal: Array, measured: Array, least: int) -> None:
+    """Raise an error if points, (n, 3), show no frame in space of ``least`` dimensions."""
     if not len(nominal):
         raise MeasurementError(
             "the frame of the measurements is unknown and cannot be aligned: in no row with a "
@@ -325,7 +327,6 @@ def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform)
             "nominal machine is. It needs as many readings as freedoms; check their units, order "
             "and signs. Points that are touched at unknown places have no frame: leave it out"
         )
-    least = platform.space
     for points in (nominal, measured):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if len(nominal) < least or not spread[least - 2] > 1e-3 * spread[0]:
@@ -335,8 +336,3 @@ def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform)
                 f"{'at one place' if least == 2 else 'on a line'} or too few; measure positions "
                 "that span the workspace (a tip in sockets is a contact of the setup)"
             )
-    before, after = (np.average(p, axis=0, weights=weights) for p in (nominal, measured))
-    frame = np.eye(4)
-    frame[:3, :3] = turn_of_points(nominal, measured, least, weights=weights)
-    frame[:3, 3] = after - frame[:3, :3] @ before
-    return frame

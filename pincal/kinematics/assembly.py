@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.kinematics.batches import block_diagonal, turn_of_points
+from pincal.kinematics.batches import block_diagonal, motion_of_points
 from pincal.kinematics.closing import sensor_law, started
 from pincal.kinematics.closure import LegClosure, joint_range, nominal_legs
 from pincal.model.checks import ROUNDING
@@ -217,7 +217,7 @@ def opening(legs: Sequence[Leg], platform: Platform) -> float:
 
 def _fitted(closures: Sequence[LegClosure], joints: Array) -> Array:
     """Return the pose in which the platform's points are nearest to the tips, shape (1, 4, 4)."""
-    matrix, platform = np.eye(4), closures[0].platform
+    platform = closures[0].platform
     by_leg = list(zip(closures, _parts(closures, joints), strict=True))
     for closure, q in by_leg:
         if closure.leg.closes == "frame":
@@ -227,8 +227,9 @@ def _fitted(closures: Sequence[LegClosure], joints: Array) -> Array:
     if platform.space == 2:
         tips[:, 2] = points[:, 2] = 0.0
     if "rad" in platform.units and len(closures) > 1:
-        matrix[:3, :3] = turn_of_points(points, tips, platform.space)
-    matrix[:3, 3] = tips.mean(axis=0) - matrix[:3, :3] @ points.mean(axis=0)
+        return motion_of_points(points, tips, platform.space)[None]
+    matrix = np.eye(4)
+    matrix[:3, 3] = (tips - points).mean(axis=0)
     return matrix[None]
 
 

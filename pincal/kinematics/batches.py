@@ -174,21 +174,23 @@ def turn_between(first: Array, second: Array) -> Array:
     return vectors
 
 
-def turn_of_points(
+def motion_of_points(
     first: Array, second: Array, space: int, sign: float = 1.0, weights: Array | None = None
 ) -> Array:
-    """Return the rotation (or reflection, sign −1) from points to others by least squares, (3, 3).
+    """Return the motion (or reflection, sign −1) from points to others by least squares, (4, 4).
 
-    The points, shape (n, 3), turn about their centres (Kabsch 1976), with optional weights (n,); in
-    the plane normal to z if space is 2.
+    The points, shape (n, 3), have optional weights (n,) and turn about their centres (Kabsch 1976),
+    in the plane normal to z if space is 2.
     """
-    a, b = (points - np.average(points, axis=0, weights=weights) for points in (first, second))
-    M = b.T @ (a if weights is None else a * weights[:, None])
+    weights = np.ones(len(first)) if weights is None else weights
+    before, after = (weights @ points / weights.sum() for points in (first, second))
+    M = (second - after).T @ ((first - before) * weights[:, None])
     U, _, Vt = np.linalg.svd(M[:space, :space])
-    flip, turn = np.ones(space), np.eye(3)
+    flip, motion = np.ones(space), np.eye(4)
     flip[-1] = sign * np.sign(np.linalg.det(U @ Vt))
-    turn[:space, :space] = (U * flip) @ Vt
-    return turn
+    motion[:space, :space] = (U * flip) @ Vt
+    motion[:3, 3] = after - motion[:3, :3] @ before
+    return motion
 
 
 def inverse_left_jacobian(vectors: Array) -> Array:

@@ -12,7 +12,7 @@ from itertools import permutations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from pincal.kinematics.batches import turn_of_points
+from pincal.kinematics.batches import motion_of_points
 from pincal.kinematics.closure import nominal_legs
 from pincal.model.checks import ALIKE, ROUNDING
 from pincal.model.mechanism import Mechanism
@@ -88,15 +88,14 @@ class LegImages:
             if any(self._rank(points[sources]) < self._least_rank for points in bodies):
                 return None
             pairs = ((points[sources], points[targets]) for points in bodies)
-            return Element.of(*(_shifted(turn_of_points(*p, space, sign), *p) for p in pairs))
+            return Element.of(*(motion_of_points(*pair, space, sign) for pair in pairs))
         points, owners = self._joined
         to = dict(zip(sources, targets, strict=True))
         rows = [i for i, owner in enumerate(owners) if owner < 0 or owner in to]
         if self._rank(points[rows]) < self._least_rank:
             return None
         after = [i + to[int(owners[i])] - owners[i] if owners[i] >= 0 else i for i in rows]
-        pair = points[rows], points[after]
-        base = _shifted(turn_of_points(*pair, space, sign), *pair)
+        base = motion_of_points(points[rows], points[after], space, sign)
         if self.mechanism.platform.turns:
             return Element.of(base, np.linalg.inv(self.home) @ base @ self.home)
         return Element.of(*(_shifted(base[:3, :3], p[sources], p[targets]) for p in bodies))
