@@ -172,14 +172,10 @@ class Fit(SolverResult):
         by_free, W = self.unknowns.map @ self.root, linear.white.by_noise
         pulled = self._pulled[self._psi[3] > 0.0] @ by_free
         prior = self.unknowns.prior_rows(self.unknowns.start)[1] @ self.root
-        meat = pulled.T @ pulled + prior.T @ prior
-        for poses in linear.parts():
-            fits = noises[poses] > 0.0
-            J = linear.jacobian_of(poses)[fits] @ by_free
-            rows = W[poses][fits].transpose(0, 2, 1) @ J
-            rows = (noises[poses][fits, None, None] * rows).reshape(-1, len(meat))
-            meat += rows.T @ rows
-        return np.asarray(meat)
+        fits = noises > 0.0
+        rows = W[fits].transpose(0, 2, 1) @ (linear.jacobian[fits] @ by_free)
+        rows = (noises[fits, None, None] * rows).reshape(-1, by_free.shape[1])
+        return np.asarray(pulled.T @ pulled + prior.T @ prior + rows.T @ rows)
 
     @cached_property
     def covariance(self) -> Array:

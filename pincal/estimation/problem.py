@@ -14,7 +14,7 @@ stays finite near type-1 singularities.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,7 +23,7 @@ import numpy as np
 from pincal.estimation.observation import Observation
 from pincal.estimation.rows import WhiteRows, turned_rows, white_rows
 from pincal.estimation.unknowns import BlockRows, State
-from pincal.kinematics.batches import block_diagonal, chunks
+from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import leg_demands_at
 from pincal.model.leg import Leg
@@ -266,20 +266,11 @@ class Linear:
         """Derivatives of the residuals, shape (N, m, n); not cached, as it is large."""
         return self.white(self.by_parameter)
 
-    def jacobian_of(self, poses: slice) -> Array:
-        """Return the derivatives of the residuals at some poses, shape (N, m, n)."""
-        return self.white(self.by_parameter[poses], poses)
-
-    def parts(self) -> Iterator[slice]:
-        """Return slices of poses that bound the memory of a Jacobian."""
-        return chunks(len(self.conditions))
-
     @cached_property
     def triangle(self) -> Array:
         """R of J = Q R over all poses, shape (n, n)."""
-        parts = [self.jacobian_of(poses) for poses in self.parts()]
-        triangles = [np.linalg.qr(J.reshape(-1, J.shape[2]), mode="r") for J in parts]
-        return np.asarray(np.linalg.qr(np.concatenate(triangles), mode="r"))
+        rows = self.jacobian.reshape(-1, self.by_parameter.shape[2])
+        return np.asarray(np.linalg.qr(rows, mode="r"))
 
     @property
     def squares(self) -> Array:

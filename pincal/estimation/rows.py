@@ -47,11 +47,10 @@ class TurnedRows(NamedTuple):
     factors: Array
     """Householder factors, shape (N, dof)."""
 
-    def __call__(self, rows: Array, poses: slice = slice(None)) -> tuple[Array, Array]:
+    def __call__(self, rows: Array) -> tuple[Array, Array]:
         """Return the rows that depend on the pose, and the others, from rows (N, k, n)."""
-        turned = rows[:, self.rows[1]] / self.sigma[poses, :, None]
-        vectors = self.vectors[poses].swapaxes(0, 1)
-        for v, factor in zip(vectors, self.factors[poses].T, strict=True):
+        turned = rows[:, self.rows[1]] / self.sigma[:, :, None]
+        for v, factor in zip(self.vectors.swapaxes(0, 1), self.factors.T, strict=True):
             turned -= v[:, :, None] * (factor[:, None, None] * (v[:, None] @ turned))
         dof = self.factors.shape[1]
         return np.concatenate((rows[:, self.rows[0]], turned[:, :dof]), axis=1), turned[:, dof:]
@@ -73,15 +72,12 @@ class WhiteRows:
     """S, shape (N, k, s). Where rows were turned, these five fields are of the other rows."""
     turned: TurnedRows | None = None
 
-    def __call__(self, rows: Array, poses: slice = slice(None)) -> Array:
-        """Return rows with the pose eliminated and whitened, shape (N, m, n), from (N, k, n).
-
-        The rows are of all poses, or of a slice of them.
-        """
+    def __call__(self, rows: Array) -> Array:
+        """Return rows with the pose eliminated and whitened, shape (N, m, n), from (N, k, n)."""
         if self.turned is None:
-            return np.asarray(self.reduced[poses] @ rows) / self.scale[poses]
-        joined, free = self.turned(rows, poses)
-        return np.concatenate((self.reduced[poses] @ joined / self.scale[poses], free), axis=1)
+            return np.asarray(self.reduced @ rows) / self.scale
+        joined, free = self.turned(rows)
+        return np.concatenate((self.reduced @ joined / self.scale, free), axis=1)
 
     @property
     def whitener(self) -> Array:

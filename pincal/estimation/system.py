@@ -176,24 +176,21 @@ class System:
         """Return R of the Jacobian by the free unknowns and the residuals, with priors.
 
             ┌ J  r ┐
-            │ J  r │ = Q R      priors first, then one block row a pose
+            │ J  r │ = Q R      one block row a pose, then the priors
             └ ⋮  ⋮ ┘
 
         R has shape (n_free + 1, n_free + 1). ``weights``, (N,), are of rows; ``bend``, (N,), is the
         curvature of a robust loss along each row's residuals over its weight.
         """
-        r, J = self.unknowns.prior_rows(self.problem.values(linear.state))
-        n = self.unknowns.n_free
-        R = np.concatenate((np.column_stack((J, r)), np.zeros((n + 1, n + 1))))
-        for poses in linear.parts():
-            used, root = weights[poses] > 0.0, np.sqrt(weights[poses])[:, None]
-            J, r = root[:, :, None] * linear.jacobian_of(poses), root * linear.residuals[poses]
-            if bend is not None:
-                J, r = bent(J, r, np.sqrt(bend[poses]))
-            J = J[used].reshape(-1, J.shape[2]) @ self.unknowns.map
-            below = np.column_stack((J, r[used].ravel()))
-            R = np.asarray(np.linalg.qr(np.concatenate((R, below)), mode="r"))
-        return R
+        n, used, root = self.unknowns.n_free, weights > 0.0, np.sqrt(weights)[:, None]
+        J, r = root[:, :, None] * linear.jacobian, root * linear.residuals
+        if bend is not None:
+            J, r = bent(J, r, np.sqrt(bend))
+        J, r = J[used].reshape(-1, J.shape[2]) @ self.unknowns.map, r[used].ravel()
+        prior, of_prior = self.unknowns.prior_rows(self.problem.values(linear.state))
+        rows = np.column_stack((np.concatenate((J, of_prior)), np.append(r, prior)))
+        rows = np.concatenate((rows, np.zeros((n + 1, n + 1))))  # at least as many rows as columns
+        return np.asarray(np.linalg.qr(rows, mode="r"))
 
     def cost(
         self, linear: Linear, weights: Array | None = None, frame: Linear | None = None

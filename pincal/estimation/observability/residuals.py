@@ -82,16 +82,13 @@ def remaining_variances(fit: Fit, follows: Array) -> Array:
     Each is the variance of the modelled noise and of the estimate, less twice their covariance.
     ``follows`` is c, shape (N, q, k).
     """
-    linear, parts, by_free = fit.last, [], fit.unknowns.map @ fit.root
-    for poses in linear.parts():
-        J, W = linear.jacobian_of(poses) @ by_free, linear.white.by_noise[poses]
-        c = product(follows[poses], linear.white.back[poses])  # by the rows
-        noise, taken = product(c, W), product(c, J)
-        gained = product(product(noise, W.transpose(0, 2, 1)), J)
-        mixed = fit.slopes[poses, None] * (taken * gained).sum(axis=2)
-        of_estimate = (taken @ fit.meat_in_root * taken).sum(axis=2)
-        parts.append((noise**2).sum(axis=2) - 2.0 * mixed + of_estimate)
-    return np.concatenate(parts)
+    J, W = fit.last.jacobian @ (fit.unknowns.map @ fit.root), fit.last.white.by_noise
+    c = product(follows, fit.last.white.back)  # by the rows
+    noise, taken = product(c, W), product(c, J)
+    gained = product(product(noise, W.transpose(0, 2, 1)), J)
+    mixed = fit.slopes[:, None] * (taken * gained).sum(axis=2)
+    of_estimate = (taken @ fit.meat_in_root * taken).sum(axis=2)
+    return np.asarray((noise**2).sum(axis=2) - 2.0 * mixed + of_estimate)
 
 
 def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
