@@ -105,8 +105,7 @@ def _noise_findings(result: CalibrationResult) -> list[Finding]:
     dof, chi2, noise = result.degrees_of_freedom, result.reduced_chi2, result.noise
     if noise and result.noise_source == "estimated":
         columns = result.calibration.observation
-        pairs = zip(columns.units, columns.measured.T, strict=True)
-        measured = {unit for unit, rows in pairs if rows.any()}
+        measured = np.array(columns.units)[columns.measured.any(axis=0)]
         kinds = (("position", "m"), ("orientation", "rad"), ("pixel", "px"))
         values: dict[str, Any]
         values = {k: getattr(noise, k) if unit in measured else None for k, unit in kinds}

@@ -33,7 +33,6 @@ from pincal.estimation.unknowns import External, State
 from pincal.model.checks import ALIKE
 from pincal.model.leg import Leg
 from pincal.model.measurements import Noise
-from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import WORDINGS, finding
 from pincal.words.wording import filled
@@ -241,7 +240,7 @@ def _all_legs(
 
 def _search_start(
     problem: Problem, begin: Fits | None, rows: Mask | None
-) -> tuple[State | Linear | None, Gauge | None, State | None]:
+) -> tuple[Linear | None, Gauge | None, State | None]:
     """Return where a search starts, its gauge, and its start without ``begin``; None if unknown.
 
     Fits of more rows have the same gauge if the same quantities are measured. Terms begin at zero.
@@ -255,13 +254,14 @@ def _search_start(
     if problem.leg_block.n_parameters != fit.problem.leg_block.n_parameters:
         nominal, values = _by_id(problem.legs), _by_id(fit.problem.legs, start.parameters)
         parameters = np.array([values.get(id_, value) for id_, value in nominal.items()])
-        return State(parameters, start.matrices, external=start.external), None, None
+        start = State(parameters, start.matrices, external=start.external)
+        return problem.evaluate(start), None, None
     columns = (part.observation.measured.T for part in (fit.problem, problem))
     if any(a.any() != b.any() for a, b in zip(*columns, strict=True)):
-        return start, None, None
+        return problem.evaluate(start), None, None
     # held directions depend on the start that the search would have had
     holds = begin.held is not None and begin.held.directions.size > 0
-    return start, begin.gauge, None if holds else start
+    return problem.evaluate(start), begin.gauge, None if holds else start
 
 
 def _by_id(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, float]:
@@ -271,15 +271,14 @@ def _by_id(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, fl
     return dict(zip(ids, nominal if parameters is None else parameters, strict=True))
 
 
-def _fit_all(calibration: Calibration, system: System, start: State | Linear | None) -> Fit:
+def _fit_all(calibration: Calibration, system: System, start: Linear | None) -> Fit:
     """Return a fit in which no direction is held, even if it is weakly determined.
 
     Raises:
         ObservabilityError: a direction is unobservable even without noise, or noise moves
             parameters farther along it than machines differ from their drawing.
     """
-    begin = start or system.problem.start(system.unknowns.start)
-    linear = begin if isinstance(begin, Linear) else system.problem.evaluate(begin)
+    linear = start or system.problem.evaluate(system.problem.start(system.unknowns.start))
     lost = hold_unobservable(calibration.mechanism, system, linear, None, 0).groups
     if lost:
         held = finding("undetermined-held", groups=lost, weak=())
@@ -292,7 +291,7 @@ def _fit_all(calibration: Calibration, system: System, start: State | Linear | N
 
 
 def _fit_holding(
-    calibration: Calibration, system: System, start: State | Linear | None, former: Fits | None
+    calibration: Calibration, system: System, start: Linear | None, former: Fits | None
 ) -> tuple[Fit, HeldUnknowns]:
     """Return a fit with weak directions held, one more each time until it converges; and these."""
     held = held_before = former.held if former else None
@@ -300,21 +299,22 @@ def _fit_holding(
     mechanism, loss = calibration.mechanism, loss_of(calibration.options.loss)
     nominal = held.nominal if held else problem.evaluate(problem.start(system.unknowns.start))
     nominal = replace(nominal, problem=problem)
-    begin = start if isinstance(start, Linear) else nominal
+    begin, farthest = start or nominal, plausible_changes(mechanism, problem.legs)
+    bounds = nominal.state.parameters + np.outer((-1.0, 1.0), farthest)
     while True:
         held = hold_unobservable(mechanism, system, nominal, held, fewest)
-        if isinstance(start, State):  # held directions start at nominal
-            n = len(start.parameters)
+        if start and not former:  # held directions start at nominal
+            n = len(start.state.parameters)
             T, values = held.unknowns.map[:n], held.unknowns.start[:n]
-            z = np.linalg.lstsq(T, start.parameters - values, rcond=None)[0]
-            begin = problem.evaluate(replace(start, parameters=values + T @ z))
+            z = np.linalg.lstsq(T, start.state.parameters - values, rcond=None)[0]
+            begin = problem.evaluate(replace(start.state, parameters=values + T @ z))
         elif held_before and held.directions.shape[1] > held_before.directions.shape[1]:
             begin, near = nominal, False  # where the additional directions are at nominal
         may_hold_more = held.weakest < _HELD_MOST
         holding = replace(system, unknowns=held.unknowns)
         try:
             if may_hold_more:
-                fit = _fit_unless_astray(mechanism, holding, loss, begin, nominal, near=near)
+                fit = _fit_unless_astray(holding, loss, begin, bounds, near=near)
             else:
                 fit = robust_fit(holding, loss, begin, near=near)
             if fit.converged or not may_hold_more:
@@ -326,19 +326,12 @@ def _fit_holding(
 
 
 def _fit_unless_astray(
-    mechanism: Mechanism,
-    system: System,
-    loss: Loss | None,
-    begin: Linear,
-    nominal: Linear,
-    *,
-    near: bool,
+    system: System, loss: Loss | None, begin: Linear, bounds: Array, *, near: bool
 ) -> Fit:
-    """Return a fit; if its search soon moves farther than machines differ, the unfinished fit."""
+    """Return a fit; unfinished if its search soon leaves the parameters' bounds, (2, n_params)."""
     patience = _PATIENCE * (1 + near)
     fit = robust_fit(replace(system, max_evaluations=patience), loss, begin, near=near)
-    changes = np.abs(fit.parameters - nominal.state.parameters)
-    if fit.converged or (changes > plausible_changes(mechanism, system.problem.legs)).any():
+    if fit.converged or (fit.parameters < bounds[0]).any() or (fit.parameters > bounds[1]).any():
         return fit
     return robust_fit(system, loss, fit.last, near=near)
 

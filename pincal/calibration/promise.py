@@ -135,8 +135,7 @@ def uncovered(result: CalibrationResult) -> tuple[str, ...]:
     or by temperature, and changes with ``"time"`` where no pose was measured repeatedly.
     """
     observation = result.calibration.observation
-    columns = zip(observation.units, observation.measured.T, strict=True)
-    lengths = any(unit == "m" and column.any() for unit, column in columns)
+    lengths = "m" in np.array(observation.units)[observation.measured.any(axis=0)]
     named = {
         "weight": not result.nominal.loaded or (result.nominal.load or Load()).assumed,
         "scale": lengths and not result.options.setup.systematic.relative,
@@ -172,8 +171,7 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
     """
     observation, values = result.calibration.observation, result.outside
     platform = result.nominal.platform
-    columns = zip(observation.names, observation.measured.T, strict=True)
-    known = {name for name, rows in columns if rows.any()}
+    known = set(np.array(observation.names)[observation.measured.any(axis=0)])
     positions = observation.setup.positions(platform).values()
     points = [name for axes in positions if known.issuperset(axes) for name in axes]
     if values is None or not points or observation.setup.instruments:

@@ -363,8 +363,7 @@ class CalibrationResult:
 
 def _whitened(groups: Sequence[ResidualGroup]) -> tuple[Array, Array]:
     """Return residuals before and after in standard deviations, of quantities with noise."""
-    before = np.concatenate([group.residuals_before for group in groups])
-    after = np.concatenate([group.residuals for group in groups])
-    sigma = np.concatenate([group.sigma for group in groups])
+    parts = [(group.residuals_before, group.residuals, group.sigma) for group in groups]
+    before, after, sigma = (np.concatenate(part) for part in zip(*parts, strict=True))
     noisy = sigma > 0.0
     return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]

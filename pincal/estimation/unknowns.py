@@ -169,8 +169,6 @@ class ExternalUnknowns:
 
     def moved(self, values: External, step: Array) -> External:
         """Return the values after a step, (n,); the frame turns about its own origin."""
-        if not len(self):
-            return values
         change, frame = np.zeros(self.own.stop), values.frame.copy()
         change[self.free] = step
         frame[:3, 3] += change[:3]
@@ -185,8 +183,6 @@ class ExternalUnknowns:
 
     def coordinates(self, values: External) -> Array:
         """Return the unknowns as numbers, (n,), [m] and [rad]; rotations as rotation vectors."""
-        if not len(self):
-            return np.zeros(0)
         turns = Rotation.from_matrix([values.frame[:3, :3], values.turn]).as_rotvec()
         parts = [values.frame[:3, 3], turns[0], values.offsets.ravel(), turns[1]]
         return np.concatenate([*parts, values.features.ravel(), values.instruments])[self.free]

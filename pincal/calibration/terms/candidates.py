@@ -22,7 +22,6 @@ from pincal.calibration.terms.kinds import (
     PULLEY,
     Kind,
     Pair,
-    check_place,
     parts_of,
     term_text,
     weighed,
@@ -54,8 +53,6 @@ def with_terms(
     """
     parts = {pair: [(place, pair[1]) for place in parts_of(pair[0], mechanism)] for pair in kinds}
     pairs = list(dict.fromkeys(chain.from_iterable(parts.values())))
-    for place, kind in pairs:
-        check_place(place, kind, mechanism)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
     idle = {(place, GRAVITY) for place in idle_places(mechanism, data)}
     tried_pairs = [(place, kind) for place, kind in pairs if (place, kind.name) not in idle]
