@@ -839,4 +839,3 @@ def test_rows_turned_are_rows_whitened() -> None:
         white.noise @ white.by_noise.swapaxes(1, 2) @ white(rows) for white in (plain, turned)
     ]
     np.testing.assert_allclose(*explained, atol=1e-12)
-    np.testing.assert_allclose(turned(rows[1:3], slice(1, 3)), turned(rows)[1:3])

@@ -193,7 +193,7 @@ class Calibration:
         """Return the problem of all legs at all rows without a start; ``used`` as in leg_block."""
         rows, legs = np.arange(len(self.measurements)), range(len(self.mechanism.legs))
         noise = self.observation.row_noise(self.measurements, self.noise.noise)
-        return Problem(self.leg_block(legs, rows, used), self.observation.with_noise(noise))
+        return Problem(self.leg_block(legs, rows, used), self.observation.changed(noise=noise))
 
     @cached_property
     def influences(self) -> Array:

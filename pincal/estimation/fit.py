@@ -301,7 +301,5 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
     even = (sigma <= _UNEVEN * observation.sigma) | ~observation.measured
     if even.all() and (readings <= _UNEVEN * legs.sigma).all():
         return None
-    noise = RowNoise(sigma, observation.noise.correlation)
-    return replace(
-        problem, leg_block=replace(legs, sigma=readings), observation=observation.with_noise(noise)
-    )
+    observation = observation.changed(noise=RowNoise(sigma, observation.noise.correlation))
+    return replace(problem, leg_block=replace(legs, sigma=readings), observation=observation)

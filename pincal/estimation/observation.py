@@ -85,7 +85,7 @@ class Observation:
         self._turn_rows = [row - 3 for row in platform.twist_rows if row >= 3]
         self.external = ExternalUnknowns(platform, setup, bool(oriented.any()))
         self.noise = RowNoise(np.zeros(self.measured.shape))
-        """Noise of the quantities; zero until ``with_noise`` sets it."""
+        """Noise of the quantities; zero until it is set."""
 
     @property
     def active(self) -> Mask:
@@ -112,7 +112,7 @@ class Observation:
 
     def only(self, names: Sequence[str]) -> Observation:
         """Return the observation with only the named quantities measured."""
-        return self._changed(measured=self.measured & np.isin(self.names, list(names)))
+        return self.changed(measured=self.measured & np.isin(self.names, list(names)))
 
     def anywhere(self) -> Observation:
         """Return the observation with every quantity measured in all rows if it is in some.
@@ -124,7 +124,7 @@ class Observation:
         somewhere[np.isin(self.names, self.setup.between_rows)] = False
         for columns in self.setup.contact_axes(self.platform).values():
             somewhere[np.isin(self.names, columns)] = False
-        return self._changed(
+        return self.changed(
             measured=self.measured | somewhere,
             orientations=np.full_like(self.orientations, np.nan),
         )
@@ -135,7 +135,7 @@ class Observation:
         ``matrices`` are ``T_base_platform``, shape (N, 4, 4).
         """
         hidden = self._of_devices("visible", matrices, external) == 0.0
-        return self._changed(measured=self.measured & ~hidden)
+        return self.changed(measured=self.measured & ~hidden)
 
     def metres_per_pixel(self, matrices: Array, external: External) -> Array:
         """Return the size of a pixel at each seen point, (N, r), [m/px]; NaN of other columns."""
@@ -161,13 +161,10 @@ class Observation:
         """Return the observation at some rows."""
         arrays = ("measured", "orientations", "_values", "conditions")
         parts = {name: getattr(self, name)[rows] for name in (*arrays, "meets")}
-        return self._changed(noise=self.noise.rows(rows), **parts)
+        return self.changed(noise=self.noise.rows(rows), **parts)
 
-    def with_noise(self, noise: RowNoise) -> Observation:
-        """Return the observation with other noise of its quantities."""
-        return self._changed(noise=noise)
-
-    def _changed(self, **changes: object) -> Observation:
+    def changed(self, **changes: object) -> Observation:
+        """Return the observation with other attributes, such as ``noise``."""
         changed = copy(self)
         vars(changed).update(changes)
         return changed

@@ -116,18 +116,6 @@ class LegBlock:
         platform = zip(self.platform.freedoms, self.platform.units, strict=True)
         return names | {f"measured {name}": unit for name, unit in platform}
 
-    def at(self, rows: Index) -> LegBlock:
-        """Return the block at some of its rows."""
-        return replace(
-            self,
-            readings=self.readings[rows],
-            influences={name: values[rows] for name, values in self.influences.items()},
-            data_rows=self.data_rows[rows],
-            used=self.used[rows],
-            sigma=self.sigma[rows],
-            pose_roots=None if self.pose_roots is None else self.pose_roots[rows],
-        )
-
     def evaluate(self, state: State) -> BlockRows:
         """Return the residuals of the legs, passive joints at best closure; zero where unused."""
         pairs = zip(self.legs, self.columns, strict=True)
@@ -343,11 +331,6 @@ class Problem:
     def active(self) -> Mask:
         """Which rows have a measurement, shape (N, k)."""
         return np.concatenate([block.active for block in self.blocks], axis=1)
-
-    def at(self, rows: Index) -> Problem:
-        """Return the problem at some poses."""
-        first = None if self.first is None else self.first.rows(rows)
-        return Problem(self.leg_block.at(rows), self.observation.at(rows), first)
 
     def start(self, parameters: Array) -> State:
         """Return the start of the search with parameters (n,), those of the legs first."""

@@ -142,7 +142,7 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
         ObservabilityError: measurements of this kind determine no parameter at any poses.
     """
     platform, T = mechanism.platform, unknowns.map
-    legs, J = jacobian_near(mechanism, problem, unknowns, generic=True)
+    legs, J = jacobian_near(mechanism, problem, unknowns)
     if not len(J):
         raise ObservabilityError(
             "no machine near the nominal one reaches the poses as measured; check their frame, "

@@ -27,7 +27,7 @@ from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.types import Array
+from pincal.types import Array, Index
 from pincal.words.wording import group_in_words
 
 RANK_TOLERANCE = 1e-9
@@ -147,17 +147,17 @@ GENERIC = 200  # least number of generic configurations
 
 
 def jacobian_near(
-    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, *, generic: bool
+    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, chosen: Index | None = None
 ) -> tuple[Legs, Array]:
-    """Return the legs' derivatives at the start, or generic ones nearby, and the whole Jacobian.
+    """Return the legs' derivatives at the start of chosen rows, and the whole Jacobian.
 
-    The Jacobian, shape (m, n_free), is of all measured quantities over the mechanism's size by the
-    free unknowns, poses eliminated, with the rows of priors below. At generic configurations every
-    quantity that is measured in some row counts as measured in all rows.
+    By default they are generic ones nearby, where every quantity that is measured in some row
+    counts as measured in all rows. The Jacobian, shape (m, n_free), is of all measured quantities
+    over the mechanism's size by the free unknowns, poses eliminated, with rows of priors below.
     """
     start, block = problem.start(unknowns.start), problem.leg_block
-    contacts, chosen = problem.observation.setup.contacts, np.arange(len(start.matrices))
-    if generic:  # the same ones in whatever order rows were measured
+    contacts, generic = problem.observation.setup.contacts, chosen is None
+    if chosen is None:  # the same ones in whatever order rows were measured
         chosen = np.lexsort((*start.matrices[:, :3, 3].T, *block.readings.T))
         chosen = chosen if contacts else chosen[:GENERIC]  # every point is touched
     plan = Plan(
@@ -354,8 +354,7 @@ def hold_unobservable(
     """
     free, problem = system.unknowns, system.problem
     if held is None:
-        rows = np.flatnonzero(system.kept)
-        J = jacobian_near(mechanism, problem.at(rows), free, generic=False)[1]
+        J = jacobian_near(mechanism, problem, free, np.flatnonzero(system.kept))[1]
         if not len(J):
             raise ObservabilityError(
                 "the nominal legs reach none of the measured poses, so that nothing is determined; "
