@@ -7,6 +7,7 @@ import runpy
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -225,6 +226,36 @@ def test_an_arm_says_which_poses_are_found_without_near(
     pose = pincal.forward(robot, np.array([readings])).poses
     matrix = robot.platform.matrices(pose)[0, :3].ravel()
     np.testing.assert_allclose(matrix, T, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", quick(1, ["5R", "ur5", "6UPS", "delta"]))
+def test_arguments_without_meaning_have_a_reason(name: str, tmp_path: Path) -> None:
+    """Numbers that are not finite or too large, and matrices that do not turn: by both files."""
+    machine = loaded(name) if name == "ur5" else pincal.load_mechanism(name)
+    bent = pincal.Term("bend", pincal.Power(power=20, range=2.0))
+    leg = machine.legs[0]
+    sensors = (replace(leg.sensors[0], terms=(bent,)), *leg.sensors[1:])
+    leg = replace(leg, sensors=sensors, parameters=(*leg.parameters, ("bend", 1e-6)))
+    machine = replace(machine, legs=(leg, *machine.legs[1:]))
+    files = [in_python(Deployed(machine))]
+    if shutil.which("cc"):
+        files.append(in_c(Deployed(machine), tmp_path))
+    for inverse, forward in files:
+        readings = np.array(Deployed(machine).tables["home_readings"])
+        T, near, found = forward(readings, None)
+        assert found
+        assert inverse(np.array(T), None, near)[2]
+        for value in (np.nan, np.inf, -np.inf, 1e308, 1e13, 1e11, -1e6):
+            solve = [(np.array(T), partial(inverse, influences=None, near=None))]
+            solve += [(readings, partial(forward, influences=None))]
+            for sound, kinematics in solve:
+                for place in range(len(sound)):
+                    arguments = sound.copy()
+                    arguments[place] = value
+                    values, _, found = kinematics(arguments)
+                    assert not found or (np.isfinite(values).all() and abs(value) <= 1e12)
+        for factors in (0.0, 2.0, np.repeat([1.0, 1.0, -1.0], 4)):
+            assert not inverse(factors * np.array(T), None, None)[2]
 
 
 def test_terms_that_no_file_can_hold_are_refused(tmp_path: Path) -> None:

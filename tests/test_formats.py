@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,9 @@ def nozzle(config: dict[str, list[float]], ways: np.ndarray) -> np.ndarray:
     return np.array([trilaterate(np.column_stack((towers, tops - way)), arms) for way in ways])
 
 
+write_marlin = partial(write_reprap, firmware="marlin")
+
+
 def as_klipper(text: str) -> dict[str, list[float]]:
     """Return the numbers of a written ``printer.cfg``, line by line, without a parser."""
     keys = {
@@ -116,6 +120,24 @@ def as_reprap(text: str) -> dict[str, list[float]]:
         "angle": angles,
         "arm": [float(v) for v in first["L"].split(":")],
         "endstop": [float(first["H"]) + float(second[k]) for k in "XYZ"],
+    }
+
+
+def as_marlin(text: str) -> dict[str, list[float]]:
+    """Return the numbers of written M665 and M666, as Marlin 2 understands them.
+
+    It lowers each carriage from its endstop by M666, which must not be above 0, to the height H.
+    """
+    lines = {line.split()[0]: line.split()[1:] for line in text.splitlines() if line[0] == "M"}
+    first, second = (
+        {word[0]: float(word[1:]) for word in lines[code]} for code in ("M665", "M666")
+    )
+    assert max(second.values()) == 0.0
+    return {
+        "radius": [first["R"]],
+        "angle": [u + first[k] for u, k in zip((210, 330, 90), "XYZ", strict=True)],
+        "arm": [first["L"] + first[k] for k in "ABC"],
+        "endstop": [first["H"] - second[k] for k in "XYZ"],
     }
 
 
@@ -197,7 +219,7 @@ def test_heights_without_a_way_per_step_are_refused(tmp_path: Path) -> None:
         read_klipper(tmp_path / "none.cfg")
 
 
-@pytest.mark.parametrize("firmware", ["klipper", "reprap"])
+@pytest.mark.parametrize("firmware", ["klipper", "reprap", "marlin"])
 def test_exported_kinematics_are_those_of_the_mechanism(firmware: str) -> None:
     """A firmware's own formulas at the written digits give pincal's positions, less the origin.
 
@@ -212,6 +234,7 @@ def test_exported_kinematics_are_those_of_the_mechanism(firmware: str) -> None:
     write, read, digits = {
         "klipper": (write_klipper, as_klipper, 1e-5),
         "reprap": (write_reprap, as_reprap, 1e-3),
+        "marlin": (write_marlin, as_marlin, 1e-3),
     }[firmware]
     believed = nozzle(read(write(found)), ways)
     expected = 1e3 * poses - [*(1e3 * np.array(found.origin)), 0.0]
@@ -223,6 +246,7 @@ def test_exported_kinematics_are_those_of_the_mechanism(firmware: str) -> None:
     [
         (write_klipper, lambda path: read_klipper(path)[0], "cfg", 1e-9),
         (write_reprap, lambda path: read_reprap(path, "reprap"), "g", 1.1e-7),
+        (write_marlin, lambda path: read_reprap(path, "marlin"), "g", 1.1e-7),
     ],
 )
 def test_what_is_exported_is_imported(tmp_path, write, read, ending, digits) -> None:

@@ -191,6 +191,10 @@ def export(
         Path | None,
         typer.Option(metavar="URDF", help="Your URDF: only the origins of its joints change."),
     ] = None,
+    form: Annotated[
+        InputFormat | None,
+        typer.Option("--format", help="Format of FILE, if its ending does not tell (marlin)."),
+    ] = None,
     force: Force = False,
 ) -> None:
     """Write URDF, MJCF or printer configurations.
@@ -200,17 +204,17 @@ def export(
     arms.
 
     For a delta printer, FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
-    RepRapFirmware (.g). What the format cannot hold is reported. MECH may be a result of 'pincal
-    calibrate'; URDFs of its legs are in its folder 'mechanism'.
+    RepRapFirmware (.g) or Marlin (.g, --format marlin). What the format cannot hold is reported.
+    MECH may be a result of 'pincal calibrate'; URDFs of its legs are in its folder 'mechanism'.
 
     These formats cannot hold terms of sensors, lengths and angles. 'pincal inverse' applies them to
     the readings of your poses, and so do the kinematics that 'pincal deploy' writes.
     """
-    form = INPUTS.get(output.suffix.lower())
+    form = form or INPUTS.get(output.suffix.lower())
     if form is None:
         raise MechanismError(
             f"the format of {output.name!r} is not known; give it the ending .urdf, .xml (MJCF), "
-            ".cfg (Klipper) or .g (RepRapFirmware)"
+            ".cfg (Klipper) or .g (RepRapFirmware; Marlin: --format marlin)"
         )
     if original is not None and form != "urdf":
         raise MechanismError(f"leave out --original: not for the format {form}")
@@ -225,7 +229,7 @@ def export(
 
 
 def _exported(
-    mechanism: Mechanism, form: str, original: Path | None
+    mechanism: Mechanism, form: InputFormat, original: Path | None
 ) -> tuple[bytes, Sequence[str]]:
     """Return the contents of a mechanism's file in a format, and remarks on what it lacks."""
     if original is not None:
@@ -243,6 +247,9 @@ def _exported(
         text = mjcf.mjcf(mechanism) if form == "mjcf" else leg_urdf(mechanism.legs[0])
         return text.encode(), mjcf.unwritten(mechanism)
     printer = delta_printer(mechanism)
-    text = firmware.write_klipper(printer) if form == "klipper" else firmware.write_reprap(printer)
+    if form == "reprap" or form == "marlin":
+        text = firmware.write_reprap(printer, form)
+    else:
+        text = firmware.write_klipper(printer)
     say(text.rstrip())
     return text.encode(), printer.remarks

@@ -9,6 +9,8 @@
        machine_pose(machine_home, T);
        int leg = machine_inverse(T, NULL, NULL, readings, joints);   0, or number of a leg without solution
        int lost = machine_forward(readings, NULL, NULL, NULL, T, joints);   0, or why no pose was found
+
+   Both return -1 and write nothing if an argument is not finite or above 1e12, or T no rigid transform.
 */
 #ifndef MACHINE_KINEMATICS_H
 #define MACHINE_KINEMATICS_H
@@ -61,6 +63,31 @@ static inline double machine_dot(const double *a, const double *b) { return a[0]
 
 static inline void machine_cross(const double *a, const double *b, double *c) {
     c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* the larger of two numbers; NAN if one is NAN */
+static inline double machine_larger(double a, double b) { return b > a || isnan(b) ? b : a; }
+
+/* whether numbers are finite and not too large to compute with; NULL for none */
+static inline int machine_bounded(const double *values, int n) {
+    double largest = 0.0;
+    for (int i = 0; values && i < n; i++) largest = machine_larger(largest, fabs(values[i]));
+    return largest <= 1e12;
+}
+
+/* whether influences are bounded or unknown, NAN */
+static inline int machine_known(const double *influences) {
+    int bounded = 1;
+    for (int i = 0; influences && i < MACHINE_INFLUENCES; i++) bounded &= !(fabs(influences[i]) > 1e12);
+    return bounded;
+}
+
+/* whether 12 numbers are a rigid transform: each row of the rotation follows of two */
+static inline int machine_rigid(const double *T) {
+    double x[3], z[3], off = fabs(machine_dot(T, T) - 1.0);
+    machine_cross(T, T + 4, z); machine_cross(T + 4, T + 8, x);
+    for (int i = 0; i < 3; i++) off = machine_larger(off, machine_larger(fabs(x[i] - T[i]), fabs(z[i] - T[8 + i])));
+    return off <= 1e-5 && machine_bounded(T, 12);
 }
 
 static inline void machine_copy(const double *from, double *to, int n) { for (int i = 0; i < n; i++) to[i] = from[i]; }
@@ -268,7 +295,7 @@ static inline double machine_closure(const machine_leg *leg, const double *T, co
             }
             double miss = scale * machine_dot(axis, angular ? turn : gap);
             A[row][n - first + MACHINE_DOF] = -miss;
-            largest = fmax(largest, fabs(miss));
+            largest = machine_larger(largest, fabs(miss));
         }
     }
     return largest;
@@ -322,10 +349,8 @@ static inline void machine_step(const machine_leg *leg, machine_row *A, double *
 /* the largest step, [rad] or over the leg's size */
 static inline double machine_length(const machine_leg *leg, int first, const double *step) {
     double largest = 0.0;
-    for (int j = first; j < leg->n_unknown; j++) {
-        double size = fabs(step[j - first]) / (leg->turns[leg->unknown[j]] ? 1.0 : leg->size);
-        if (!(size <= largest)) largest = size;
-    }
+    for (int j = first; j < leg->n_unknown; j++)
+        largest = machine_larger(largest, fabs(step[j - first]) / (leg->turns[leg->unknown[j]] ? 1.0 : leg->size));
     return largest;
 }
 
@@ -461,7 +486,7 @@ static inline int machine_inverse_at(const double *T, const double *known, const
         int reached = machine_close(leg, T, near ? near + start : NULL, values);
         machine_copy(values, joints + start, leg->n_joints);
         for (int j = 0; j < leg->n_active; j++, row++)
-            reached &= machine_reading(leg->sensors + j, values[leg->unknown[j]], known, readings + row);
+            reached &= machine_reading(leg->sensors + j, values[leg->unknown[j]], known, readings + row) && isfinite(readings[row]);
         if (!reached && !lost) lost = l + 1;
         start += leg->n_joints;
     }
@@ -469,9 +494,10 @@ static inline int machine_inverse_at(const double *T, const double *known, const
 }
 
 /* readings and joints of a pose, near given joints or in the working modes of home: 0, or a leg that
-   does not reach, counted from 1 */
+   does not reach, counted from 1; -1 for arguments without meaning */
 static inline int machine_inverse(const double *T, const double *influences, const double *near, double *readings, double *joints) {
     double known[MACHINE_INFLUENCES + 1], before[MACHINE_READINGS], last[MACHINE_JOINTS];
+    if (!machine_rigid(T) || !machine_bounded(near, MACHINE_JOINTS) || !machine_known(influences)) return -1;
     for (int i = 0; i <= MACHINE_INFLUENCES; i++) known[i] = influences && i < MACHINE_INFLUENCES ? influences[i] : NAN;
     int lost = machine_inverse_at(T, known, near, readings, joints);
     for (int k = 0; machine_load.n_bodies && k < 20; k++) {
@@ -514,10 +540,7 @@ static inline int machine_forward_at(const double *readings, const double *known
         sign *= machine_triangle(rows, count, MACHINE_DOF, MACHINE_DOF + 1);
         machine_back(rows, count, MACHINE_DOF, MACHINE_DOF, twist);
         moved = 0.0;
-        for (int j = 0; j < MACHINE_DOF; j++) {
-            double size = fabs(twist[j]) / (j < MACHINE_LENGTHS ? machine_size : 1.0);
-            if (!(size <= moved)) moved = size;
-        }
+        for (int j = 0; j < MACHINE_DOF; j++) moved = machine_larger(moved, fabs(twist[j]) / (j < MACHINE_LENGTHS ? machine_size : 1.0));
         double share = fmin(1.0, 0.3 / fmax(moved, 0.3)), step[MACHINE_MOST];
         for (int l = 0; l < MACHINE_LEGS; l++) {
             const machine_leg *leg = machine_legs + l;
@@ -525,7 +548,7 @@ static inline int machine_forward_at(const double *readings, const double *known
             for (int i = 0; i < p && i < leg->rows; i++)
                 for (int j = 0; j < MACHINE_DOF; j++) reduced[l][i][last] -= share * reduced[l][i][p + j] * twist[j];
             machine_back(reduced[l], leg->rows, p, last, step);
-            moved = fmax(moved, machine_length(leg, leg->n_active, step));
+            moved = machine_larger(moved, machine_length(leg, leg->n_active, step));
             for (int j = 0; j < p; j++) values[l][leg->unknown[leg->n_active + j]] += step[j];
         }
         for (int j = 0; j < MACHINE_DOF; j++) twist[j] *= share;
@@ -537,11 +560,11 @@ static inline int machine_forward_at(const double *readings, const double *known
     machine_row A[MACHINE_TALL];
     start = 0;
     for (int l = 0; l < MACHINE_LEGS; start += machine_legs[l++].n_joints) {
-        gaps = fmax(gaps, machine_closure(machine_legs + l, T, values[l], 0, A));
+        gaps = machine_larger(gaps, machine_closure(machine_legs + l, T, values[l], 0, A));
         in_mode &= machine_mode(machine_legs + l, T, values[l]) == machine_legs[l].mode;
         machine_copy(values[l], joints + start, machine_legs[l].n_joints);
     }
-    if (gaps > (count > MACHINE_DOF ? 0.1 : 1e-10) * machine_size) return 1;
+    if (!(gaps <= (count > MACHINE_DOF ? 0.1 : 1e-10) * machine_size && machine_bounded(T, 12))) return 1;
     return in_mode ? 0 : 2;
 }
 
@@ -551,9 +574,12 @@ static inline void machine_from_home(double *T, double *joints) {
 }
 
 /* the pose of readings, and joints there, near a pose and joints or in the assembly mode of home: 0;
-   1 if no pose closes all legs, 2 if it left the working or assembly mode of home */
+   1 if no pose closes all legs, 2 if it left the working or assembly mode of home, -1 for arguments
+   without meaning */
 static inline int machine_forward(const double *readings, const double *influences, const double *near_T, const double *near_joints, double *T, double *joints) {
     double known[MACHINE_INFLUENCES + 1], stage[MACHINE_READINGS], kept[12], kept_joints[MACHINE_JOINTS];
+    int sound = machine_bounded(readings, MACHINE_READINGS) && machine_bounded(near_joints, MACHINE_JOINTS) && machine_known(influences);
+    if (!sound || (near_T && !machine_rigid(near_T))) return -1;
     machine_know(influences, readings, known);
     machine_from_home(T, joints);
     if (near_T && near_joints) { machine_copy(near_T, T, 12); machine_copy(near_joints, joints, MACHINE_JOINTS); }

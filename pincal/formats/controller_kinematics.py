@@ -26,6 +26,9 @@ LARGEST = 0.3  # largest step of a joint, [rad] or over the leg's size
 SMALL = 1e-10  # step after which the remaining error is rounding
 CLOSED = 1e-10  # largest gap of a closed leg, over its size
 DAMPING = 1e-6  # over the largest entry, where joints are more than rows
+BOUND = 1e12  # largest size of an argument
+ROUNDED = 1e-5  # largest error of a rotation
+UNSOUND = "arguments are not finite numbers up to 1e12, or the pose is no rigid transform"
 
 
 class Solution(NamedTuple):
@@ -103,6 +106,8 @@ def inverse(T: Row, influences: Row | None = None, near: Matrix | None = None) -
     The joints are the solution near ``near``; without it, an arm's are within limits if possible.
     """
     known = influences or [nan] * len(MACHINE["influences"])
+    if not _sound(T, known, *near or ()):
+        return Solution([nan] * len(MACHINE["readings"]), [], UNSOUND)
     solution = _inverse(T, known, near)
     for _ in range(20 * bool(MACHINE["load"]["bodies"])):  # loads depend on readings, but weakly
         before = solution
@@ -120,12 +125,13 @@ def forward(
 
     With more readings than freedoms it is the pose of least gaps.
     """
-    known = _with_loads(influences or [nan] * len(MACHINE["influences"]), readings)
-    if near is not None:
-        return _forward(readings, known, *near)
-    from_pose, joints = pose(*MACHINE["home"]), [leg["home"] for leg in MACHINE["legs"]]
+    known = influences or [nan] * len(MACHINE["influences"])
+    from_pose, joints = near or (pose(*MACHINE["home"]), [leg["home"] for leg in MACHINE["legs"]])
+    if not _sound(from_pose, known, readings, *joints):
+        return Solution([nan] * 12, [], UNSOUND)
+    known = _with_loads(known, readings)
     solution = _forward(readings, known, from_pose, joints)
-    if solution.reason:
+    if solution.reason and near is None:
         for step in range(1, WAY + 1):
             pairs = zip(MACHINE["home_readings"], readings, strict=True)
             stage = [start + step / WAY * (end - start) for start, end in pairs]
@@ -133,6 +139,19 @@ def forward(
             if not solution.reason:
                 from_pose, joints = solution.values, solution.joints
     return solution
+
+
+def _bounded(*parts: Row) -> bool:
+    """Return whether all numbers are finite and not too large to compute with."""
+    return all(abs(value) <= BOUND for part in parts for value in part)
+
+
+def _sound(T: Row, known: Row, *parts: Row) -> bool:
+    """Return whether a pose is a rigid transform, other numbers are bounded, influences or nan."""
+    x, y, z = T[:3], T[4:7], T[8:11]  # each of the other two, by their cross product
+    pairs = zip([_dot(x, x), *_cross(x, y), *_cross(y, z)], [1.0, *z, *x], strict=True)
+    rigid = len(T) == 12 and all(abs(a - b) <= ROUNDED for a, b in pairs)
+    return rigid and _bounded(T, *parts) and not any(abs(value) > BOUND for value in known)
 
 
 def beyond_limits(joints: Matrix) -> list[str]:
@@ -157,7 +176,7 @@ def _inverse(T: Row, known: Row, near: Matrix | None) -> Solution:
         for row, sensor in enumerate(leg["sensors"]):
             value, settled = _reading(sensor, q[leg["active"][row]], known)
             readings.append(value)
-            reached = reached and settled
+            reached = reached and settled and isfinite(value)
         if not reached and not reason:
             reason = f"no joints of {leg['name']} found that reach it in its working mode"
     return Solution(readings, joints, reason)
@@ -228,7 +247,8 @@ def _forward(readings: Row, known: Row, T: Row, near: Matrix) -> Solution:
         gaps = max(gaps, *(abs(row[-1]) for row in rows))
         in_mode = in_mode and _mode(leg, rows) == leg["mode"]
         del values[len(leg["joints"]) :]
-    if not moved <= SMALL or gaps > (CLOSED if square else 0.1) * MACHINE["size"]:
+    largest = (CLOSED if square else 0.1) * MACHINE["size"]
+    if not all((moved <= SMALL, gaps <= largest, _bounded(T))):
         return Solution(T, states, "no pose found that closes all legs")
     return Solution(T, states, "" if in_mode else "left the working or assembly mode of home")
 
@@ -372,11 +392,11 @@ def _deformations(leg: dict[str, Any], known: Row) -> Row:
 def _basis(form: Row, value: float, slope: bool = False) -> float:
     """Return a term's function, or its derivative; 0 if its influence is unknown."""
     a, b, exponent = form
-    if not isfinite(value):
+    if not abs(value) <= BOUND:
         return 0.0
     if not exponent:
         return a * cos(a * value + b) if slope else sin(a * value + b)
-    relative = (value - b) / a
+    relative = max(-1e6, min(1e6, (value - b) / a))  # so that its powers do not overflow
     return float(exponent / a * relative ** (exponent - 1) if slope else relative**exponent)
 
 

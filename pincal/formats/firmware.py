@@ -43,6 +43,17 @@ _OF_TOWERS = ("angle", "arm_length", "position_endstop")
 _COMMENT = re.compile(r";.*|\([^)]*(?:\)|$)")
 _COMMAND = re.compile(r"^\s*(?:N\d+\s+)?M0*(665|666)(?![\d.])(.*)$", re.I | re.A)
 Firmware = Literal["reprap", "marlin"]
+_HEADINGS: dict[Firmware, tuple[str, str]] = {
+    "reprap": (
+        "; Delta kinematics of RepRapFirmware, written by pincal. Put it into config.g in place of",
+        "; the same lines, and remove M665 and M666 from config-override.g, which would win.",
+    ),
+    "marlin": (
+        "; Delta kinematics of Marlin 2, written by pincal. Send it, then M500. With a bed probe",
+        "; Marlin homes to H less Z of M851: add that Z to H, unless H came from Marlin.",
+    ),
+}
+"""Comments above the lines for each firmware."""
 #: Letters that each firmware's commands accept.
 _KNOWN = {
     "reprap": {"665": "LRHBXYZ", "666": "XYZAB"},
@@ -154,7 +165,7 @@ def _printer(
 def write_klipper(printer: DeltaPrinter) -> str:
     """Return the delta's sections of a ``printer.cfg``, with 1e-6 mm and degrees as SAVE_CONFIG."""
     lines = [
-        "# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of",
+        "# Delta kinematics, written by pincal. Put it into printer.cfg in the place of",
         "# the same options, above the SAVE_CONFIG block: there it wins over what is saved.",
         *_notes(printer, "#"),
         "[printer]",
@@ -168,27 +179,30 @@ def write_klipper(printer: DeltaPrinter) -> str:
     return "\n".join([*lines, ""])
 
 
-def write_reprap(printer: DeltaPrinter) -> str:
-    """Return the lines M665 and M666 of a delta, to 1e-4 mm and degrees; B is not written.
+def write_reprap(printer: DeltaPrinter, firmware: Firmware = "reprap") -> str:
+    """Return M665 and M666 of a delta, to 1e-4 mm and degrees; the print radius is not written.
 
-    As in the firmware, the homed height is the mean of the endstops.
+    RepRapFirmware adds M666 to the homed height, the mean of the endstops. Marlin lowers carriages
+    by M666, at most 0, to the homed height, the lowest endstop; its rods have trims.
     """
-    endstops = np.array(printer.endstops) / _MM
-    height = round(float(endstops.mean()), 4)
-    arms = ":".join(f"{arm / _MM:.4f}" for arm in printer.arms)
+    marlin = firmware == "marlin"
+    ends, arms = (np.round(np.array(v) / _MM, 4) for v in (printer.endstops, printer.arms))
+    height = round(float(ends.min() if marlin else ends.mean()), 4)
     turns = (np.degrees(printer.angles) - ANGLES + 180.0) % 360.0 - 180.0
-    angles, ends = (  # no zero is negative
-        " ".join(f"{k}{v:.4f}" for k, v in zip("XYZ", np.round(values, 4) + 0.0, strict=True))
-        for values in (turns, endstops - height)
-    )
-    lines = [
-        "; Delta kinematics, calibrated by pincal. Put it into config.g in the place of the",
-        "; same lines, and remove M665 and M666 from config-override.g, which would win.",
-        *_notes(printer, ";"),
-        f"M665 L{arms} R{printer.radius / _MM:.4f} H{height:.4f} {angles}",
-        f"M666 {ends} A0.00 B0.00",
-    ]
-    return "\n".join([*lines, ""])
+    rod = round(float(arms.mean()), 4)
+    rods = f"{rod:.4f}" if marlin else ":".join(f"{arm:.4f}" for arm in arms)
+    first = f"M665 L{rods} R{printer.radius / _MM:.4f} H{height:.4f} {_words('XYZ', turns)}"
+    if marlin:
+        lines = [f"{first} {_words('ABC', arms - rod)}", f"M666 {_words('XYZ', height - ends)}"]
+    else:
+        lines = [first, f"M666 {_words('XYZ', ends - height)} A0.00 B0.00"]
+    return "\n".join([*_HEADINGS[firmware], *_notes(printer, ";"), *lines, ""])
+
+
+def _words(letters: str, values: Array) -> str:
+    """Return letters with numbers of four digits; no zero is negative."""
+    rounded = np.round(values, 4) + 0.0
+    return " ".join(f"{k}{v:.4f}" for k, v in zip(letters, rounded, strict=True))
 
 
 def _notes(printer: DeltaPrinter, mark: str) -> list[str]:
