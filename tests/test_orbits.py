@@ -156,6 +156,16 @@ def test_images_of_candidates_are_not_chosen_again() -> None:
     np.testing.assert_array_equal(distinct_orbits(mechanism, elements, every), np.arange(50))
 
 
+def test_copies_count_once_however_many() -> None:
+    """20,000 copies of a pose that differ by rounding, between others, are one pose."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = pincal.sample_workspace(mechanism, 20, seed=0)
+    noise = 1e-14 * np.random.default_rng(0).standard_normal((20_000, 3))
+    every = np.concatenate((poses[:10], poses[5] + noise, poses[10:]))
+    expected = [*range(10), *range(20_010, 20_020)]
+    np.testing.assert_array_equal(distinct(mechanism.platform, every), expected)
+
+
 def test_a_plan_serves_several_legs(tmp_path: pytest.TempPathFactory) -> None:
     """Poses that two legs want are held once, and read back so."""
     mechanism = pincal.load_mechanism("3RRR")

@@ -75,7 +75,9 @@ _LONGEST = 1300  # characters
 _REMIND = 30.0  # seconds between progress lines without a spinner
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # nobody needs its remarks on font caches
 _typed: list[str] = []
-_TypedWrong: type[Exception] = typer.BadParameter.__mro__[2]  # click's, whose copy typer may have
+_TypedWrong: type[Exception] = typer.BadParameter.__mro__[
+    2
+]  # click's own; typer may bring a copy of click
 _NAMED = inspect.Parameter.KEYWORD_ONLY
 
 
@@ -253,7 +255,7 @@ def main(argv: list[str] | None = None) -> None:
     except OSError as error:
         if error.filename is not None:
             _leave(2, f"{error.filename}: {error.strerror}")
-        stdout.on_broken_pipe()  # typer's own printing, whose stream has no name
+        stdout.on_broken_pipe()  # typer prints by itself, to a stream without a name
         _leave(4, f"the answer could not be printed ({error.strerror})")
     except MemoryError as error:
         _leave(2, f"not enough memory ({error}); ask for less at once")

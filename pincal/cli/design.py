@@ -408,7 +408,7 @@ def serve(machine: SimulatedMachine, port: int) -> None:
 def _say_unreached(planned: Plan, simulation: Simulation) -> None:
     """Print which rows of a plan were not measured, and why."""
     for reason in dict.fromkeys(reason for _, reason in simulation.unreachable):
-        places = [planned.place(row) for row, why in simulation.unreachable if why == reason]
+        places = [planned.place(row) for row, cause in simulation.unreachable if cause == reason]
         remark(f"not measured, {reason}: {listed(places)} of the plan")
     lost = len(simulation.unreachable)
     remark(f"{len(simulation.measurements)} poses measured, {lost} not reached")

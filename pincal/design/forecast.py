@@ -278,8 +278,8 @@ def forecast(
         check_reached(mechanism, plan)
     information = information_rows(mechanism, legs, noise, measured, setup)
     rows, priors, systematic, unknowns, names = information
-    seen, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
-    flat = np.concatenate((seen, priors))
+    white, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
+    flat = np.concatenate((white, priors))
     rank = identifiability(flat, unknowns)
     lengths, s, axes = scaled_axes(flat)
     root = axes[: rank.rank] / lengths / s[: rank.rank, None]  # rootᵀ root is the pseudo-inverse
@@ -287,7 +287,7 @@ def forecast(
     gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined, setup)
     to_nominal = root[:, :n] @ nearest_to_nominal(mechanism, gauge).T
     # systematic errors add to the covariance, however many rows there are
-    moved = to_nominal.T @ (root @ (seen.T @ systematic.reshape(len(seen), -1)))
+    moved = to_nominal.T @ (root @ (white.T @ systematic.reshape(len(white), -1)))
     return Forecast(
         mechanism,
         names,

@@ -286,7 +286,7 @@ def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
 
 
 def _contacts(table: TextTable, columns: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Return those of some columns of names, for contacts and distances, that a table has."""
+    """Return the columns of names, of contacts and distances, that a table has."""
     return {name: _names(table, name) or () for name in columns if name in table}
 
 

@@ -285,7 +285,7 @@ def _sheet_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
                         rows.setdefault(value.row, {})[value.column] = text
     except MeasurementError as error:
         raise MeasurementError(f"{path}: {error}") from error
-    except Exception as error:  # what openpyxl makes of other files is not declared
+    except Exception as error:  # openpyxl declares no errors for files of other kinds
         raise MeasurementError(f"{path}: no .xlsx file: {error}") from error
     columns = sorted({column for row in rows.values() for column in row})
     for number in sorted(rows):
@@ -293,7 +293,7 @@ def _sheet_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _cell_of(value: Any, formula: Any) -> str:
-    """Return what a cell holds as text, of which ``formula`` is the cell with its formula."""
+    """Return a cell's text; the two arguments are the cell with its value and with its formula."""
     text = "" if value.value is None else str(value.value).strip()
     uncomputed = formula.data_type == "f" and not text and value.data_type != "str"
     if uncomputed or (text and value.column > _MOST_COLUMNS) or value.data_type == "e":

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from lxml import etree
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.text import plain_number, read_xml, why_no_number
@@ -268,16 +268,15 @@ def _turn(element: etree._Element, place: str) -> Triple:
     numbers = [_number(word, place) for word in text.split()]
     if len(numbers) != 4 or not any(numbers):
         raise MechanismError(f"{place}: quat_xyzw={text!r} should hold four numbers, not all zero")
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(numbers).as_matrix()
-    return placement_of(matrix).rpy
+    turn = RigidTransform.from_rotation(Rotation.from_quat(numbers))
+    return placement_of(turn.as_matrix()).rpy
 
 
 def _limits(element: etree._Element, name: str, place: str) -> tuple[float, float]:
     """Return the limits of a joint; infinite if the file has none, or huge ones."""
     limit = element.find("limit")
-    said = {} if limit is None else {str(k): plain_number(str(v)) for k, v in limit.items()}
-    if limit is None or {"lower", "upper"}.isdisjoint(said) or not any(said.values()):
+    limits = {} if limit is None else {str(k): plain_number(str(v)) for k, v in limit.items()}
+    if limit is None or {"lower", "upper"}.isdisjoint(limits) or not any(limits.values()):
         return -np.inf, np.inf  # zeros alone are what exporters of CAD programs leave blank
     ends = [limit.get(key, "0") for key in ("lower", "upper")]
     lower, upper = map(plain_number, ends)

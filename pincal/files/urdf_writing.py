@@ -132,7 +132,7 @@ def _visual(
 
 
 def _rounded(values: float | Triple) -> str:
-    """Return numbers with twelve digits, equal on all processors, whose arctangents differ."""
+    """Return numbers with twelve digits, since the last ones of arctangents vary by processor."""
     return " ".join(f"{np.round(v, 12) + 0.0:.12g}" for v in np.atleast_1d(values))
 
 

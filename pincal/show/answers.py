@@ -266,7 +266,7 @@ def supporting_lines(result: CalibrationResult) -> list[str]:
 
 
 def gauge_line(result: CalibrationResult) -> str:
-    """Name the freedoms that such measurements cannot determine, and how they were chosen."""
+    """Name the freedoms that measurements of this kind cannot determine, and their choice."""
     freedoms = "; ".join(map(sentence, result.gauge))
     return f"the nearest to nominal of all equivalent parameters: {freedoms}"
 

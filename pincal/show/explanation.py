@@ -127,10 +127,10 @@ def _slip_line(slip: Slip) -> str:
         along = ", ".join(f"{axis} {amount(value, slip.unit)}" for axis, value in parts)
         axes = "the platform's axes" if slip.what == "target" else "the axes of the measurements"
         shown += f" ({along}, in {axes})"
-    what = subject % {"name": slip.name}
-    course = f"from data row {slip.row + 1} on {what} is off by {shown}"
+    slipped = subject % {"name": slip.name}
+    course = f"from data row {slip.row + 1} on {slipped} is off by {shown}"
     if slip.steady:
-        course = f"{what} drifts, by {shown} from the first row to the last"
+        course = f"{slipped} drifts, by {shown} from the first row to the last"
     return f"{course}: {look}{_or_else(alternatives)} ({chance(slip.p_value)})"
 
 
@@ -166,8 +166,8 @@ def remedy_table(remedies: Sequence[Remedy]) -> Table:
         elif result and result.promises:
             outcome = "rows do not fit the others"
         elif result:
-            why = unpromised(result) or "residuals are larger than the noise"
-            outcome = f"contradicted: {why}"
+            titles = unpromised(result) or "residuals are larger than the noise"
+            outcome = f"contradicted: {titles}"
         rows.append((tried(remedy), result.reduced_chi2 if result else None, outcome))
     return Table("What was tried", ["if", "χ²/dof:.3g", "calibration"], rows)
 

@@ -40,15 +40,15 @@ def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
         for link in robot.links
     }
     joints, paths = {joint.name: joint for joint in robot.joints}, list(body.parts)
-    parts, found = dict(body.parts), False
+    parts, has_mesh = dict(body.parts), False
     for number, (leg, chain) in enumerate(zip(mechanism.legs, body.chains, strict=True), 1):
         pairs = zip(chain, leg.joints, strict=True)
         links = [(paths[place], joint.name, "child") for place, joint in pairs]
         for part, name, end in [(f"leg {number}/base", leg.joints[0].name, "parent"), *links]:
             meshes = shapes.get(getattr(joints.get(name), end, ""), ())
             parts[part] = meshes or parts[part]
-            found = found or bool(meshes and end == "child")
-    if not found:
+            has_mesh = has_mesh or bool(meshes and end == "child")
+    if not has_mesh:
         raise FileError(
             f"{urdf}: no joint of {mechanism.name!r} moves a link with a mesh; expected the URDF "
             "that the mechanism was read from"

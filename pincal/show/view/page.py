@@ -43,8 +43,8 @@ def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> 
     names = list(dict.fromkeys(scene.sets))
     points = [scene.points(), *(layer.points.reshape(-1, 3) for layer in scene.layers)]
     every, ground = np.concatenate(points), scene.ground()
-    away = np.linalg.norm(every - np.clip(every, *scene.bounds()), axis=1)
-    near = every[away <= scene.size] @ scene.axes.T  # the view is not fitted to farther points
+    distances = np.linalg.norm(every - np.clip(every, *scene.bounds()), axis=1)
+    near = every[distances <= scene.size] @ scene.axes.T  # the view is not fitted to farther points
     low, high = near.min(axis=0), near.max(axis=0)
     still = [_still(layer) for layer in (ground, *scene.layers)]
     for number, (name, colour, positions, lines) in enumerate(scene.by_set(), 1):

@@ -262,15 +262,15 @@ def _carried(mechanism: Mechanism, plan: Plan, shift: Array) -> Plan:
     goal_pose = platform.from_matrices(goal)
     weights = np.where(np.array(platform.units) == "m", 1.0, _TURNS * mechanism.size)
     for _ in range(_STEPS):
-        off = weights * platform.twists_between(legs.poses, goal_pose)[0]
+        error = weights * platform.twists_between(legs.poses, goal_pose)[0]
         by_readings = -weights[:, None] * least_squares(legs.pose, legs.reading)[0]
-        step = np.linalg.lstsq(by_readings, off)[0]
+        step = np.linalg.lstsq(by_readings, error)[0]
         step *= min(1.0, _STEP / np.abs(step).max(initial=1e-12))
         trial = legs_at(mechanism, Plan(legs.poses, readings=legs.readings + step))
         if not trial.reached.all() or np.abs(step).max() < 1e-10:
             break
         legs = trial
-    if np.linalg.norm(off[: platform.lengths]) > _NEAR * mechanism.size:
+    if np.linalg.norm(error[: platform.lengths]) > _NEAR * mechanism.size:
         raise MechanismError("out of reach")
     return Plan(legs.poses, readings=legs.readings)
 
