@@ -30,6 +30,7 @@ from pincal.calibration.promise import seen_by
 from pincal.calibration.session import Session, SessionOptions
 from pincal.design.platform_error import root_mean_squares, seen_of, sizes
 from pincal.design.simulate import platform_errors
+from pincal.files.journal import Journal
 
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "docs" / "tables" / "sessions.csv"
@@ -71,7 +72,7 @@ def held(
         measured=kind.measured,
         accuracy=kind.accuracy,
     )
-    session = Session(folder, kind.mechanism, bench.plan, options)
+    session = Session(Journal(folder), kind.mechanism, bench.plan, options)
     counts = dict.fromkeys(("slips", "caught", "later", "sound", "alarms", "blamed"), 0)
     slipped, trusted = set[int](), set[int]()
     while not session.enough and len(session.measured) < len(bench.plan):
@@ -186,9 +187,10 @@ sys.path.insert(0, sys.argv[2])
 import pincal
 from bench import NOISE, Bench
 from pincal.calibration.session import Session, SessionOptions
+from pincal.files.journal import Journal
 mechanism = pincal.load_mechanism("5R")
 bench = Bench(mechanism, pincal.sample_configurations(mechanism, 30, 3))
-session = Session(Path(sys.argv[1]), mechanism, bench.plan, SessionOptions(noise=NOISE))
+session = Session(Journal(Path(sys.argv[1])), mechanism, bench.plan, SessionOptions(noise=NOISE))
 print("open", len(session.journal.rows), flush=True)
 while True:
     row = session.next_pose()[0]

@@ -15,6 +15,7 @@ from bench import NOISE, Bench
 
 import pincal
 from pincal.calibration.session import Session, SessionOptions
+from pincal.files.journal import Journal
 from pincal.show.measuring import responding, state, version
 from pincal.show.view.view import PageServer
 
@@ -32,7 +33,7 @@ def bench() -> Bench:
 def session(bench: Bench, tmp_path: Path) -> Session:
     """Return a session of 10 rows of 20."""
     options = SessionOptions(noise=NOISE, accuracy=1e-5)
-    opened = Session(tmp_path / "s", bench.mechanism, bench.plan, options)
+    opened = Session(Journal(tmp_path / "s"), bench.mechanism, bench.plan, options)
     for _ in range(10):
         opened.add(bench.entry(opened.columns, opened.next_pose()[0]))
     return opened

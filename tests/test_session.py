@@ -44,7 +44,7 @@ def bench() -> Bench:
 def session(folder: Path, rows: int = 0, **options: Any) -> Session:
     """Return a session with some rows measured."""
     options = {"noise": NOISE, "accuracy": ACCURACY, **options}
-    opened = Session(folder, bench().mechanism, bench().plan, SessionOptions(**options))
+    opened = Session(Journal(folder), bench().mechanism, bench().plan, SessionOptions(**options))
     for _ in range(rows):
         row, _ = opened.next_pose()
         opened.add(bench().entry(opened.columns, row))
@@ -178,7 +178,7 @@ def test_rows_that_no_other_confirms_are_not_doubted(tmp_path: Path) -> None:
     options = SessionOptions(noise=NOISE, setup=setup, measured=("x", "y", "z"))
     for seed in range(3, 7):
         machine = Bench(arm, poses, setup, seed)
-        opened = Session(tmp_path / str(seed), arm, machine.plan, options)
+        opened = Session(Journal(tmp_path / str(seed)), arm, machine.plan, options)
         for _ in range(4):
             row, _ = opened.next_pose()
             assert not opened.add(machine.entry(opened.columns, row)).off
@@ -201,6 +201,63 @@ def test_session_goes_on_as_it_was_left(tmp_path: Path) -> None:
     assert again.error is not None
     assert error is not None
     assert again.error.position == pytest.approx(error.position, rel=1e-6)
+
+
+def test_only_what_a_session_wrote_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Refused, a new session leaves no file; those of another process or of the user stay."""
+    monkeypatch.chdir(tmp_path)
+    pincal.files.table.write_table("p.csv", columns_of("3RRR", bench().plan))
+    command = ("measure", "3RRR", "--session", "s", "--terminal", "--plan", "p.csv")
+    other = session(Path("s"), 1)
+    before = {path: path.read_bytes() for path in Path("s").iterdir()}
+    refused = run(*command)
+    assert (refused.code, "open in another process" in refused.trouble) == (2, True)
+    assert {path: path.read_bytes() for path in Path("s").iterdir()} == before
+    other.journal.close()
+    assert run(*command, "--units", "m,rad").code == 2
+    assert {path: path.read_bytes() for path in Path("s").iterdir()} == before
+    Path("mine").mkdir()
+    Path("mine/notes.txt").touch()
+    for folder in ("new", "mine"):
+        assert run(*command, "--session", folder, "--measure", "a,b").code == 2
+    assert not Path("new").exists()
+    assert {path.name for path in Path("mine").iterdir()} <= {"notes.txt", "lock"}
+    held = Journal(Path("held"))
+    held.withdraw()
+    again = Journal(Path("held"))  # the lock of a folder that was removed holds no other
+    held.close()
+    with pytest.raises(pincal.FileError, match="open in another process"):
+        Journal(Path("held"))
+    again.close()
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda text: text.replace(b"\n1,", b"\nabc,"), "there is no pose 'abc'; the last is"),
+        (lambda text: text.replace(b"\n1,", b"\n9999,"), "there is no pose '9999'"),
+        (lambda text: text + b"9" * 140_000 + b"\n", "line 3: field larger than field limit"),
+        (lambda text: text + b"9" * 5_000 + b"," * text.count(b",", 0, 80) + b"\n", "line 3: "),
+        (lambda text: b"\xef\xbb\xbf" + text + b"\n\n", ""),
+        (lambda text: text + b"7,-516.42,-327", ""),
+    ],
+)
+def test_damaged_rows_are_named_and_stay(tmp_path: Path, damage: Any, words: str) -> None:
+    """What is no row is refused by file and line; blank lines and marks of an editor are not."""
+    left = session(tmp_path / "s")
+    left.add(bench().entry(left.columns, 0), 0)
+    left.journal.close()
+    damaged = damage(left.journal.path.read_bytes())
+    left.journal.path.write_bytes(damaged)
+    if not words:
+        assert session(tmp_path / "s").measured == [0]
+        return
+    with pytest.raises((pincal.FileError, pincal.MeasurementError), match=words) as caught:
+        session(tmp_path / "s")
+    assert "rows.csv" in str(caught.value)
+    assert left.journal.path.read_bytes() == damaged
 
 
 @contextmanager
@@ -229,7 +286,8 @@ def test_full_disk_loses_nothing(begun: Session) -> None:
 
 def test_any_row_can_be_undone(tmp_path: Path) -> None:
     """A row among others is taken out of the file, and rows go on behind the last."""
-    journal = Journal(tmp_path / "s", ["row", "x [mm]"])
+    journal = Journal(tmp_path / "s")
+    journal.open(["row", "x [mm]"])
     for row in "1234":
         journal.append({"row": row, "x [mm]": row * int(row)})
     journal.undo(1)
@@ -240,7 +298,9 @@ def test_any_row_can_be_undone(tmp_path: Path) -> None:
     assert journal.path.read_text() == "row,x [mm]\n1,1\n3,333\n5,\n"
     assert journal.path.with_name("undone.csv").read_text() == "2,22\n4,4444\n"
     journal.close()
-    assert Journal(tmp_path / "s", ["row", "x [mm]"]).rows == journal.rows
+    again = Journal(tmp_path / "s")
+    again.open(journal.columns)
+    assert again.rows == journal.rows
 
 
 @pytest.fixture
@@ -335,8 +395,8 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     np.testing.assert_allclose(rows.readings[1:], commanded, atol=2e-7)
     monkeypatch.setattr(sys, "stdin", io.StringIO("u 0\nr 99\nu 2\nq\n"))
     resumed = done(*command, "--accuracy", "0.2mm")
-    assert "there is no such row to undo" in resumed.err
-    assert "r 99: the plan has poses 1 to" in resumed.err
+    assert "there is no row '0'; the last is row 2" in resumed.err
+    assert "there is no pose '99'; the last is pose " in resumed.err
     assert "more poses for 0.2 mm" in resumed.out
     assert "warning: --accuracy was 0.0001 so far and is now 0.0002" in resumed.err
     assert "noise" not in resumed.err
@@ -360,12 +420,15 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     assert "s is a session of '3RRR', and '3RRR' has other parameters" in refused.err
     refused = run(*command, "--units", "m,rad")
     assert refused.code == 2
-    assert "rows.csv has other columns than these options give" in refused.err
+    assert "rows.csv has other columns than it should" in refused.err
     monkeypatch.setattr(sys, "stdin", io.StringIO(machine.line(columns[:3], 4) + "\nq\n"))
     with full_disk(Path("s/rows.csv")):
         outcome = done(*command)
     assert "warning: not recorded; free some space and enter it again. s/rows.csv" in outcome.err
     assert "1 rows in s/rows.csv" in outcome.out
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    outcome = done(*command, "--noise-orientation", "0.1mrad", "--noise-reading", 0)
+    assert "warning: --noise-orientation was 2e-05 so far and is now 0.0001" in outcome.err
     options = json.loads(Path("s/options.json").read_text())
-    assert options["Noise"] == {"position": 2e-5, "orientation": 2e-5}
+    assert options["Noise"] == {"position": 2e-5, "orientation": 1e-4, "reading": 0.0}
     assert options["SessionOptions"] == {"accuracy": 2e-4}

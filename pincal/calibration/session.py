@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +31,7 @@ from pincal.calibration.promise import errors_inside
 from pincal.calibration.result import CalibrationResult
 from pincal.design.order import Candidates
 from pincal.design.platform_error import PlatformError
-from pincal.errors import MeasurementError, PincalError
+from pincal.errors import MeasurementError, PincalError, located
 from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.problem import Linear
 from pincal.estimation.solver import solve_poses
@@ -117,9 +116,14 @@ class Session:
     """
 
     def __init__(
-        self, folder: Path, mechanism: Mechanism, plan: Plan, options: SessionOptions
+        self, journal: Journal, mechanism: Mechanism, plan: Plan, options: SessionOptions
     ) -> None:
-        """Open a session, new or as it was left, with a plan of poses to choose from."""
+        """Open a session, new or as it was left, with a plan of poses to choose from.
+
+        Raises:
+            FileError: the rows on disk have other columns, or cannot be read.
+            MeasurementError: a row on disk is none of the plan, or cannot be measured.
+        """
         setup = options.setup.of_rows(plan.contacts)
         if plan.readings is None:
             plan = replace(plan, readings=inverse(mechanism, plan.poses).readings)
@@ -145,8 +149,10 @@ class Session:
         self.forecast = self.candidates.limits(self.candidates.course())
         self.chosen: int | None = None
         """Row of the plan that the user chose to measure next, if any."""
-        self.journal = Journal(folder, list(self.sheet))
-        self._restart()
+        self.journal = journal
+        journal.open(list(self.sheet))
+        with located(journal.path, MeasurementError):
+            self._restart()
 
     def _restart(self) -> None:
         """Restore the session from the rows on disk."""
@@ -170,7 +176,7 @@ class Session:
     def measured(self) -> list[int]:
         """Rows of the plan that were measured, in this order, including rows that are off."""
         place = self.journal.columns.index("row")
-        return [int(row[place]) - 1 for row in self.journal.rows]
+        return [place_of("pose", row[place], len(self.plan)) for row in self.journal.rows]
 
     @property
     def questioned(self) -> bool:
@@ -225,8 +231,6 @@ class Session:
             MeasurementError: a cell is not a number, or nothing was measured; nothing is recorded.
         """
         row = self.next_pose()[0] if row is None else row
-        if not 0 <= row < len(self.plan):
-            raise MeasurementError(f"there is no pose {row + 1}; the plan has {len(self.plan)}")
         cells = {head: column[row] for head, column in self.sheet.items()}
         heads = {name: head for head in self.columns for name in (head, head.partition(" [")[0])}
         for name in heads.keys() & entry.keys():  # an instrument may send more
@@ -356,6 +360,17 @@ class Session:
             R = np.asarray(np.linalg.qr(rows, mode="r"))
             W = np.linalg.solve(R.T, linear.jacobian.mT)
             return linear.residuals, excess**2 * np.eye(W.shape[2]) + W.mT @ W, linear
+
+
+def place_of(noun: str, number: str, count: int) -> int:
+    """Return the place, from 0, of a pose or row by its number from 1.
+
+    Raises:
+        MeasurementError: there is none of that number.
+    """
+    if number.isdecimal() and len(number) <= len(str(count)) and 0 < int(number) <= count:
+        return int(number) - 1
+    raise MeasurementError(f"there is no {noun} {number!r}; the last is {noun} {count}")
 
 
 def _squares(r: Array, S: Array) -> Array:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import shutil
 import socket
 import sys
 import time
@@ -26,11 +25,12 @@ import typer
 import pincal
 from pincal import FileError, MeasurementError, Mechanism, Noise
 from pincal.calibration.session import Session, SessionOptions
-from pincal.cli.app import command, fail, remark, say, stdout, warn, working
+from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working
 from pincal.cli.options import Mech, PlanOptions, TableOptions, option_parameters, typed_name
 from pincal.design.planning import sampled, with_reading_noise
 from pincal.errors import explaining
 from pincal.files.columns import columns_of
+from pincal.files.journal import Journal
 from pincal.files.measurements import read_poses
 from pincal.files.table import write_table
 from pincal.option import option
@@ -98,8 +98,15 @@ def measure(
     """
     mechanism, path = pincal.load_mechanism(mech), session / "plan.csv"
     groups = session_options, options, noise
-    with working("looking at the poses"), _remembered(session, mechanism, *groups) as groups:
-        session_options, options, noise = groups
+    with (
+        working("looking at the poses"),
+        _remembered(session, mechanism, *groups) as (
+            journal,
+            session_options,
+            options,
+            noise,
+        ),
+    ):
         setup = options.read_setup()
         if not path.is_file():
             if source.plan is None:
@@ -124,7 +131,7 @@ def measure(
             measured=options.measured(mechanism, setup),
             units=options.written_in(mechanism),
         )
-        opened = Session(session, mechanism, read_poses(path, mechanism, setup=setup), asked)
+        opened = Session(journal, mechanism, read_poses(path, mechanism, setup=setup), asked)
     lock, server = Lock(), None
     try:
         if not source.terminal:
@@ -140,23 +147,24 @@ def measure(
     finally:
         if server:
             server.close()
-        opened.journal.close()
-        say(f"{len(opened.journal.rows)} rows in {opened.journal.path}")
-        say(*[asked.following] * bool(opened.journal.rows))
+        journal.close()
+        say(f"{len(journal.rows)} rows in {journal.path}", *[asked.following] * bool(journal.rows))
 
 
 @contextmanager
-def _remembered(folder: Path, mechanism: Mechanism, *groups: Any) -> Iterator[Any]:
-    """Yield options as typed, else as stored in a session's folder; store them at the end.
+def _remembered(folder: Path, mechanism: Mechanism, *groups: Any) -> Iterator[list[Any]]:
+    """Yield the journal of a folder, and options as typed, else as stored there; store them.
+
+    The folder is locked before anything is read there; a new one is removed if anything fails.
 
     Raises:
-        FileError: the session is of another machine, or options cannot be read or written.
+        FileError: the session is open in another process, or is of another machine, or options
+            cannot be read or written.
     """
-    path = folder / "options.json"
+    path, journal = folder / "options.json", Journal(folder)
     with ExitStack() as undo:
-        if not folder.exists():
-            undo.callback(shutil.rmtree, folder, ignore_errors=True)
-        folder.mkdir(exist_ok=True)
+        undo.callback(journal.close)
+        undo.callback(journal.withdraw)
         with explaining(f"delete {path}, and type its options again", Exception):
             before = path.read_text("utf-8") if path.is_file() else "{}"
             stored: dict[str, Any] = json.loads(before)
@@ -168,7 +176,7 @@ def _remembered(folder: Path, mechanism: Mechanism, *groups: Any) -> Iterator[An
                     f"parameters; measure {name!r}, or name another folder (--session)"
                 )
             known = [_as_stored(g, stored.setdefault(type(g).__name__, {})) for g in groups]
-        yield known
+        yield [journal, *known]
         new, text = path.with_suffix(".new"), json.dumps(stored, indent=1)
         if text != before:
             new.write_text(text, encoding="utf-8")
@@ -178,11 +186,11 @@ def _remembered(folder: Path, mechanism: Mechanism, *groups: Any) -> Iterator[An
 
 def _as_stored(group: Any, known: dict[str, Any]) -> Any:
     """Return options as typed, else as known; add the typed ones to the known ones."""
-    default, stored = type(group)(), {}
+    stored, words = {}, [word.partition("=")[0] for word in shlex.split(typed())]
     columns = [column for column in fields(group) if "option" in column.metadata]
     for column, parameter in zip(columns, option_parameters(type(group)), strict=True):
         name, value = column.name, getattr(group, column.name)
-        if value != getattr(default, name):
+        if f"--{typed_name(column)}" in words:
             value = str(value.absolute()) if isinstance(value, Path) else value
             if (former := known.get(name, value)) != value:
                 warn(f"--{typed_name(column)} was {former} so far and is now {value}")

@@ -9,8 +9,10 @@ from __future__ import annotations
 import csv
 import fcntl
 import io
+import logging
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,7 @@ FAILURE = "failure"
 """Column with the reason why a row has no numbers."""
 TEXTS = {"file", "sha256", "parameter", "verdict", FAILURE}
 """Columns of a table that hold no numbers."""
-_OTHER_COLUMNS = "it has other columns than it should"
+_log = logging.getLogger(__name__)
 
 
 class RowFile:
@@ -47,7 +49,7 @@ class RowFile:
                 for part in sorted(self.path.glob("part-*")):
                     table = extra("pyarrow.parquet").read_table(part).to_pydict()
                     if list(table) != self.columns:
-                        raise ValueError(_OTHER_COLUMNS)
+                        raise ValueError("other columns than it should have")
                     lines += zip(*table.values(), strict=True)
             elif self.path:
                 lines += read_lines(self.path, self.columns)
@@ -55,7 +57,7 @@ class RowFile:
             columns = dict(zip(self.columns, cells, strict=True))
             return {n: v if n in TEXTS else v.astype(float) for n, v in columns.items()}
         except (OSError, ValueError, csv.Error) as error:
-            raise FileError(f"{self.path}: {error}; move it away, or name another") from error
+            raise FileError(f"{error}; move {self.path} away, or name another") from error
 
     def add(self, rows: Sequence[Row]) -> None:
         """Add rows; a Parquet file is written whole or not at all.
@@ -101,34 +103,52 @@ class Journal:
     Rows are copied to ``undone.csv`` before they are undone.
     """
 
-    def __init__(self, folder: Path, columns: Sequence[str]) -> None:
-        """Open the folder; create it if there is none.
+    def __init__(self, folder: Path) -> None:
+        """Lock the folder; create it if there is none. ``open`` reads its rows.
 
         Raises:
-            FileError: another process has it open, it cannot be written, or has other columns.
+            FileError: another process has it open, or it cannot be written.
         """
-        self.path, self.columns = folder / "rows.csv", list(columns)
+        self.folder, self.path = folder, folder / "rows.csv"
+        self.columns, self.rows, lock = list[str](), list[list[str]](), folder / "lock"
+        self._existed = folder.exists()
         with explaining(f"cannot open {folder}"):
             folder.mkdir(exist_ok=True)
-            lock = folder / "lock"
             self._lock = os.open(lock, os.O_RDWR | os.O_CREAT)
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if not os.path.samestat(os.fstat(self._lock), lock.stat()):  # it was withdrawn
+                    raise BlockingIOError
                 lock.write_text(str(os.getpid()))
-                self.rows = read_lines(self.path, self.columns)
-                append_lines(self.path, self.columns, [])
+                self._before = set(folder.iterdir())
             except BlockingIOError as error:
                 self.close()
                 raise FileError(
                     f"{folder} is open in another process ({lock.read_text()}); close that, or "
                     "measure into another folder"
                 ) from error
-            except ValueError as error:
-                self.close()
-                raise FileError(
-                    f"{self.path} has other columns than these options give: what is measured, "
-                    "and in which units, stays as it was; leave them out, or name another folder"
-                ) from error
+
+    def open(self, columns: Sequence[str]) -> None:
+        """Read the rows that were recorded.
+
+        Raises:
+            FileError: the table has other columns, or cannot be read or written.
+        """
+        self.columns = list(columns)
+        stays = "where what is measured, and in which units, stays as it was"
+        with explaining(f"cannot go on in {self.folder}, {stays}", ValueError):
+            self.rows = read_lines(self.path, self.columns)
+            append_lines(self.path, self.columns, [])
+
+    def withdraw(self) -> None:
+        """Remove the files of a new session; none that were there when the folder was locked."""
+        names = ("plan.csv", "rows.csv", "options.json", "options.new")
+        for path in {self.folder / name for name in names} - self._before:
+            path.unlink(missing_ok=True)
+        if not self._existed:
+            (self.folder / "lock").unlink()
+            with suppress(OSError):  # somebody put a file there
+                self.folder.rmdir()
 
     def close(self) -> None:
         """Release the folder for other processes."""
@@ -180,11 +200,20 @@ def read_lines(path: Path, columns: Sequence[str]) -> list[list[str]]:
     data, head = path.read_bytes(), ",".join(columns).encode()
     end = data.rfind(b"\n") + 1
     text = head if head.startswith(data) else data[:end] or data
-    first, *lines = csv.reader(io.StringIO(text.decode()))
-    if first != [*columns] or any(len(line) != len(first) for line in lines):
-        raise ValueError(_OTHER_COLUMNS)
-    os.truncate(path, end)
-    return lines
+    reader = csv.reader(io.StringIO(text.decode("utf-8-sig")))
+    try:
+        if next(reader) != [*columns]:
+            raise ValueError(f"{path} has other columns than it should")
+        lines = [(reader.line_num, line) for line in reader if line]
+    except csv.Error as error:
+        raise ValueError(f"{path}, line {reader.line_num}: {error}") from error
+    for number, line in lines:
+        if len(line) != len(columns):
+            raise ValueError(f"{path}, line {number}: {len(line)} cells instead of {len(columns)}")
+    if data[end:]:
+        _log.info("%s: left out, as it has no end: %s", path, data[end:].decode(errors="replace"))
+        os.truncate(path, end)
+    return [line for _, line in lines]
 
 
 def append_lines(path: Path, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:

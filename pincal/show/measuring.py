@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.session import PLANNED, Checked, Session
+from pincal.calibration.session import PLANNED, Checked, Session, place_of
 from pincal.errors import FileError, MeasurementError
 from pincal.model.checks import counted
 from pincal.show.picture import picture
@@ -112,16 +112,15 @@ def obeyed(session: Session, line: str, row: int, pattern: str | None = None) ->
     goes to pose 12 of the plan; anything else is a measurement at the row.
     """
     match line.split():
-        case ["u", *number] if all(map(str.isdecimal, number)) and len(number) < 2:
-            session.undo(int(number[0]) - 1 if number else None)
+        case ["u", *number] if len(number) < 2:
+            rows = len(session.measured)
+            session.undo(place_of("row", number[0], rows) if number else None)
         case ["k"]:
             session.keep()
         case ["s"]:
             session.skip(row)
         case ["r", number]:
-            if not (number.isdecimal() and 0 < int(number) <= len(session.plan)):
-                raise MeasurementError(f"r {number}: the plan has poses 1 to {len(session.plan)}")
-            session.chosen = int(number) - 1
+            session.chosen = place_of("pose", number, len(session.plan))
             return []
         case _:
             checked = session.add(parsed(line, session, pattern), row)
