@@ -392,8 +392,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
 
 def _ids_with_tolerance(calibration: Calibration) -> dict[str, list[str]]:
     """Return the ids of parameters whose tolerance is to be estimated, by unit."""
-    ids_by_unit: dict[str, list[str]] = {}
-    free = calibration.unknowns
+    ids_by_unit, free = dict[str, list[str]](), calibration.unknowns
     moved = dict(zip(free.labels, free.map.any(axis=1) & ~np.isfinite(free.priors), strict=True))
     for parameter in calibration.mechanism.parameters:
         if moved[parameter.id] and parameter.id not in calibration.mechanism.amplitudes:

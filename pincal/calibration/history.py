@@ -60,7 +60,7 @@ class History:
     @property
     def values(self) -> Array:
         """Identified parameters of the legs, shape (n_results, n)."""
-        return np.array([[p.nominal for p in r.identified.parameters] for r in self.results])
+        return np.array([result.identified.parameters.values for result in self.results])
 
     @cached_property
     def drift(self) -> tuple[float, float] | None:

@@ -54,10 +54,8 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
             measured = np.isfinite(readings)
             low = np.min(readings, axis=0, where=measured, initial=np.inf)
             high = np.max(readings, axis=0, where=measured, initial=-np.inf)
-            ranged = high > low  # relative to the ranges, 0.5 without a range
-            shares = readings - np.where(ranged, low, 0.0)
-            shares /= np.where(ranged, high - low, 1.0)
-            shares = np.where(measured & ranged, shares, 0.5)
+            with np.errstate(invalid="ignore"):  # relative to the ranges, 0.5 without a range
+                shares = np.nan_to_num((readings - low) / (high - low), nan=0.5)
             fold_of_pose = _regions(shares, min(folds, len(poses)))
         for rows, fold in zip(poses.values(), fold_of_pose, strict=True):
             folds_of_rows[rows] = fold

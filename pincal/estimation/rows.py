@@ -148,12 +148,8 @@ def turned_rows(
 def white_rows(pose: Array, noise: Array) -> WhiteRows:
     """Return the map that eliminates N poses from their rows and whitens these.
 
-    Args:
-        pose: B, derivatives by the pose, shape (N, k, dof); no columns where poses are known.
-        noise: S, root of the noise of what was measured, shape (N, k, s).
-
-    Returns:
-        NaN at poses where B or S is not finite (out of reach).
+    ``pose`` is B, shape (N, k, dof), without columns where poses are known, and ``noise`` is S,
+    shape (N, k, s). The map is NaN where B or S is not finite (out of reach).
 
     Raises:
         MeasurementError: some pose has more exact conditions than freedoms.

@@ -273,17 +273,11 @@ def unknowns(
     tied: Iterable[str] = (),
     priors: Mapping[str, float] | None = None,
 ) -> Unknowns:
-    """Return the unknowns of some legs.
+    """Return the unknowns of some legs, and external ones by their ids.
 
-    A parameter is named ``l`` (of every leg that has one) or ``leg_1.l``; patterns such as
-    ``leg_1.*`` or ``A_*`` name several.
-
-    Args:
-        legs: The legs, at their nominal values.
-        external: Ids of external unknowns.
-        fixed: Parameters held at their nominal values.
-        tied: Parameters that have one value for all legs.
-        priors: Prior standard deviations about nominal values, [m], [rad] or [1].
+    Parameters are fixed at their nominal values, tied to one value for all legs, or have prior
+    standard deviations about nominal values, [m], [rad] or [1]. A parameter is named ``l`` (of
+    every leg that has one) or ``leg_1.l``; patterns such as ``leg_1.*`` or ``A_*`` name several.
 
     Raises:
         MeasurementError: a name is unknown, a tie is of one leg only, a parameter is both fixed
