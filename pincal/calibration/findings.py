@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -10,6 +10,8 @@ from scipy.special import chdtrc
 from pincal.calibration.fits import Fits
 from pincal.calibration.hypotheses.photos import moved_cameras
 from pincal.calibration.promise import UNEXPLAINED
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result_parts import IdentifiedParameter
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.courses import Score, Slip, scores, slips
 from pincal.estimation.observability.identifiable import plausible_changes
@@ -21,10 +23,6 @@ from pincal.model.measurements import Measurements
 from pincal.model.relations import ORIGIN
 from pincal.types import Index
 from pincal.words.findings import finding
-
-if TYPE_CHECKING:
-    from pincal.calibration.result import CalibrationResult
-    from pincal.calibration.result_parts import IdentifiedParameter
 
 MANY_ROWS = 0.1  # share of rows that do not fit, above which the noise or the model is doubted
 _FEW_RESIDUALS = 1.5  # residuals per parameter, below which more poses are advised

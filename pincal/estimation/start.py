@@ -24,7 +24,7 @@ from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.batches import lengths, motion_of_points
 from pincal.kinematics.closing import home_mode, mode_sign
-from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import inverse
 from pincal.kinematics.derivatives import nearest_closure
 from pincal.kinematics.forward import placed_by_arm
@@ -60,8 +60,7 @@ def align_start(
     if not len(outside) and (complete or mechanism.redundant):
         state = State(parameters, placed(observation, data, external), external=external)
         return state if complete else poses_at_rest(problem.evaluate(state)).state
-    legs = [LegClosure(leg, platform) for leg in mechanism.legs]
-    arm_matrices = placed_by_arm(legs, problem.leg_block.known)
+    arm_matrices = placed_by_arm(nominal_legs(mechanism), problem.leg_block.known)
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     state = State(parameters, home if arm_matrices is None else arm_matrices, external=external)
     if arm_matrices is None:
@@ -135,8 +134,7 @@ def _outside_started(problem: Problem, state: State) -> State:
 
 def _closes_as_home(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     """Return which poses close all legs in the working and assembly modes of home, shape (N,)."""
-    block, redundant = problem.leg_block, mechanism.redundant
-    legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+    block, redundant, legs = problem.leg_block, mechanism.redundant, nominal_legs(mechanism)
     joints = state.joints or [None] * len(legs)
     closures = [
         nearest_closure((leg,), state.matrices, known, of_leg)[0]
