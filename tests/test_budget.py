@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_833,
+    "calibration": 6_835,
     "cli": 2_711,
     "design": 2_356,
     "estimation": 4_606,
@@ -26,7 +26,7 @@ LINES = {
     "model": 3_557,
     "show": 4_179,
     "symmetry": 1_372,
-    "words": 961,
+    "words": 966,
     "workspace": 1_482,
 }
 """Most lines of each room; a room that is not listed may have none."""

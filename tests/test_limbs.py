@@ -205,24 +205,32 @@ def test_poses_that_readings_leave_open_are_no_misses() -> None:
     result = pincal.calibrate(mechanism, data, noise=noise).validated()
     assert result.promises
     assert result.validation.targets == ()
+    assert result.expected_error().uncovered[0] == "freedom"
 
 
-@pytest.mark.parametrize("drives", ["more", "fewer"])
+@pytest.mark.parametrize(
+    "drives", ["more", pytest.param("more in a leg", marks=pytest.mark.slow), "fewer"]
+)
 def test_drives_need_not_be_as_many_as_freedoms(drives: str) -> None:
     """Plans and data are of loops that close, every parameter comes back; too few have no pose."""
     if drives == "more":
         crank, follower = four_bar().legs
         follower = replace(follower, sensors=(pincal.Sensor("foot"),))
         mechanism = replace(four_bar(), legs=(crank, follower))
+    elif drives == "more in a leg":
+        (leg,) = hybrid().legs
+        leg = replace(leg, sensors=(*leg.sensors, pincal.Sensor("foot_1")))
+        mechanism = replace(hybrid(), legs=(leg,))
     else:
         mechanism = without_turret_drive()
     plan = pincal.sample_configurations(mechanism, 30)
     solution = pincal.forward(mechanism, plan.readings, plan.poses)
     np.testing.assert_allclose(solution.poses, plan.poses, atol=1e-4)
     assert solution.gap.max() < 1e-9
-    assert pincal.forward(mechanism, plan.readings).converged.all() == (drives == "more")
-    contradicting = pincal.forward(mechanism, plan.readings + np.array([0.01, 0.0]), plan.poses)
-    assert ("readings contradict" in str(contradicting)) == (drives == "more")
+    assert pincal.forward(mechanism, plan.readings).converged.all() == (drives != "fewer")
+    off = plan.readings + 0.01 * np.eye(1, plan.readings.shape[1], len(mechanism.legs) == 1)
+    contradicting = pincal.forward(mechanism, off, plan.poses)
+    assert ("readings contradict" in str(contradicting)) == (drives != "fewer")
     true = pincal.disturb(mechanism, 1e-3, seed=1)
     simulation = pincal.simulate(mechanism, true, plan, pincal.Noise(0.0, 0.0, 0.0))
     assert len(simulation.rows) > 25
@@ -230,6 +238,11 @@ def test_drives_need_not_be_as_many_as_freedoms(drives: str) -> None:
     both = zip(result.parameters, true.parameters, strict=True)
     missed = [p.identified - t.nominal for p, t in both]
     np.testing.assert_allclose(missed, 0.0, atol=1e-8)
+    data = simulation.measurements.rows(slice(10))
+    data = replace(data, readings=data.readings[::-1])
+    if drives != "fewer":  # readings of other poses are judged, not refused for want of noise
+        with pytest.raises(pincal.PincalError, match="miss the nominal mechanism"):
+            pincal.calibrate(mechanism, data, noise=EXACT, folds=0)
 
 
 @pytest.mark.slow

@@ -132,11 +132,13 @@ def uncovered(result: CalibrationResult) -> tuple[str, ...]:
     """Return the causes of errors that a promise does not cover, since parameters can absorb them.
 
     They are ``"weight"`` that is not given or has no terms, a wrong ``"scale"`` of the instrument
-    or by temperature, and changes with ``"time"`` where no pose was measured repeatedly.
+    or by temperature, and changes with ``"time"`` where no pose was measured repeatedly; first the
+    motion of any ``"freedom"`` of the platform that the drives leave open.
     """
     observation = result.calibration.observation
     lengths = "m" in np.array(observation.units)[observation.measured.any(axis=0)]
     named = {
+        "freedom": result.nominal.constraints < result.nominal.platform.dof,
         "weight": not result.nominal.loaded or (result.nominal.load or Load()).assumed,
         "scale": lengths and not result.options.setup.systematic.relative,
         "time": not any(result.measurements.places or ()),

@@ -70,7 +70,7 @@ class PlatformError:
     """Uncertainty of each pose over the largest one of measured poses, (N,): above 1 outside the
     measured region, NaN out of reach; empty where no poses were measured."""
     uncovered: tuple[str, ...] = ()
-    """Effects that no limit covers: ``"weight"``, ``"scale"``, ``"time"`` (see ``UNCOVERED``)."""
+    """Effects that no limit covers, such as ``"weight"`` or ``"time"`` (see ``UNCOVERED``)."""
 
     @cached_property
     def sizes(self) -> Array:

@@ -124,7 +124,12 @@ _FILTERS = {
 
 
 #: Names of effects that a limit of the error may not cover.
-UNCOVERED = {"weight": "bending", "scale": "instrument scale", "time": "drift"}
+UNCOVERED = {
+    "freedom": "motion that the drives leave open",
+    "weight": "bending",
+    "scale": "instrument scale",
+    "time": "drift",
+}
 NOISE_SOURCES = {
     "given": "as given",
     "repeats": "from rows that were measured repeatedly",
