@@ -112,7 +112,7 @@ def sample_configurations(
     low, high, home = reading_range(mechanism)
     start = near = np.tile(platform.home, (2 * count, 1))
     reach = np.where([unit == "m" for unit in platform.units], mechanism.size, 1.0)
-    poses, readings, total, halved = [], [], 0, 0
+    poses, readings, halved = np.empty((0, platform.dof)), np.empty((0, len(low))), 0
     while halved < _HALVINGS:
         drawn = rng.uniform(low, high, (len(start), len(low)))
         if mechanism.constraints < platform.dof:  # readings do not say where it is
@@ -124,21 +124,21 @@ def sample_configurations(
         if len(rows) < _RARE * len(drawn):  # joints without limits have wide ranges: draw nearer
             low, high = 0.5 * (low + home), 0.5 * (high + home)
             halved += 1
-        poses.append(reached[rows])
-        readings.append(driven[rows])
-        total += len(rows)
+        poses = np.concatenate((poses, reached[rows]))
+        readings = np.concatenate((readings, driven[rows]))
         if progress:
-            progress(min(total, count))
-        if total >= count:
-            return Plan(np.concatenate(poses)[:count], readings=np.concatenate(readings)[:count])
+            progress(min(len(poses), count))
+        if len(poses) >= count:
+            return Plan(poses[:count], readings=readings[:count])
     if criteria and not in_workspace(mechanism, start[:1], as_margins(least))[0]:
         raise WorkspaceError(_why_not_home(mechanism, as_margins(least)))
     reason = "legs do not close within their joints' limits, or are too near to singularities"
     if all(reasons):
         reason = Counter(reasons).most_common(1)[0][0]
     raise WorkspaceError(
-        f"only {total} of {count} configurations of {mechanism.name!r} found between the limits of "
-        f"the active joints and near home: {reason}. Check home and limits by 'pincal check'"
+        f"only {len(poses)} of {count} configurations of {mechanism.name!r} found between the "
+        f"limits of the active joints and near home: {reason}. Check home and limits by 'pincal "
+        "check'"
     )
 
 
@@ -241,22 +241,18 @@ def sample_workspace(
         (low, high, connected), rng.bit_generator.state = _explored(mechanism, int(seed), least)
     else:
         low, high, connected = _explore(mechanism, rng, least)
-    accepted, total = [np.empty((0, mechanism.platform.dof))], 0
-    batch = _batch(mechanism)
-    for _ in range(_MOST * (1 + count // batch)):
-        drawn = rng.uniform(low, high, (batch, mechanism.platform.dof))
-        for poses in np.split(drawn, batch // _PART):
-            counting = poses[in_workspace(mechanism, poses, least)]
-            accepted.append(counting[connected(counting)])
-            total += len(accepted[-1])
-            if total >= count:
-                break
+    accepted = np.empty((0, mechanism.platform.dof))
+    for _ in range(_MOST * (_batch(mechanism) + count) // _PART):
+        poses = rng.uniform(low, high, (_PART, mechanism.platform.dof))
+        counting = poses[in_workspace(mechanism, poses, least)]
+        accepted = np.concatenate((accepted, counting[connected(counting)]))
         if progress:
-            progress(min(total, count))
-        if total >= count:
-            return np.concatenate(accepted)[:count]
+            progress(min(len(accepted), count))
+        if len(accepted) >= count:
+            return accepted[:count]
     raise WorkspaceError(
-        f"only {total} of {count} poses found in the workspace; lower the margins or the count"
+        f"only {len(accepted)} of {count} poses found in the workspace; lower the margins or the "
+        "count"
     )
 
 
