@@ -236,11 +236,10 @@ def sample_workspace(
     if mechanism.by_readings:
         return sample_configurations(mechanism, count, seed, least).poses
     count_of(count, "the number of poses", WorkspaceError, 1, MOST)
+    if not isinstance(seed, int | np.integer):
+        seed = int(generator_of(seed, WorkspaceError).integers(2**63))
     rng = generator_of(seed, WorkspaceError)
-    if isinstance(seed, int | np.integer):
-        (low, high, connected), rng.bit_generator.state = _explored(mechanism, int(seed), least)
-    else:
-        low, high, connected = _explore(mechanism, rng, least)
+    low, high, connected, rng.bit_generator.state = _explore(mechanism, int(seed), least)
     accepted = np.empty((0, mechanism.platform.dof))
     for _ in range(_MOST * (_batch(mechanism) + count) // _PART):
         poses = rng.uniform(low, high, (_PART, mechanism.platform.dof))
@@ -262,18 +261,14 @@ def _batch(mechanism: Mechanism) -> int:
 
 
 @lru_cache(maxsize=128)
-def _explored(
-    mechanism: Mechanism, seed: int, least: Margins | None
-) -> tuple[tuple[Array, Array, Callable[[Array], Mask]], Any]:
-    """Return the result of ``_explore`` for a seed, cached, and the generator's state after it."""
-    rng = np.random.default_rng(seed)
-    return _explore(mechanism, rng, least), rng.bit_generator.state
-
-
 def _explore(
-    mechanism: Mechanism, rng: np.random.Generator, least: Margins | None
-) -> tuple[Array, Array, Callable[[Array], Mask]]:
-    """Return the corners of a box around the workspace, and the test of connection with home."""
+    mechanism: Mechanism, seed: int, least: Margins | None
+) -> tuple[Array, Array, Callable[[Array], Mask], Any]:
+    """Return the corners of a box around the workspace, and the test of connection with home.
+
+    The state of the seed's generator afterwards follows.
+    """
+    rng = np.random.default_rng(seed)
     platform, home = mechanism.platform, np.array([mechanism.platform.home])
     (lowest, highest), n = np.array(platform.bounds).T, platform.lengths
     lowest[:n], highest[:n] = (ends[:n] for ends in reach_box(mechanism))
@@ -308,7 +303,8 @@ def _explore(
         poses = rng.uniform(low, high, (2 * batch, len(low)))
         accepted = np.concatenate((accepted, poses[counts(poses)]))
         connected = home_component(platform, accepted[-2 * _PILOT :], counts)
-    return *around(accepted[connected(accepted)], _WIDEN / 4), connected
+    low, high = around(accepted[connected(accepted)], _WIDEN / 4)
+    return low, high, connected, rng.bit_generator.state
 
 
 def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
