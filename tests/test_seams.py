@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -280,10 +282,12 @@ def test_terms_turn_with_their_legs_and_are_not_saved(tmp_path: Path) -> None:
 
 
 def test_public_names_are_there() -> None:
-    """All that is public is found at the top, and nothing else is."""
+    """All that is public is found at the top, with types that resolve, and nothing else is."""
     for name in pincal.__all__:
         assert getattr(pincal, name).__name__ == name
         assert name in dir(pincal)
+        if inspect.isfunction(getattr(pincal, name)):
+            typing.get_type_hints(getattr(pincal, name))  # types that a tool can resolve
     with pytest.raises(AttributeError, match="nothing"):
         pincal.nothing  # noqa: B018
 

@@ -75,8 +75,7 @@ def board(
         options.first,
     )
     page = board_figure(printed, options.paper or "")
-    outputs: list[tuple[Path, tuple[str, ...]]] = [(output, ()), (described, ())]
-    with writing_together(outputs, force=options.force) as (picture, text):
+    with writing_together([(output, ()), (described, ())], force=options.force) as (picture, text):
         picture.write_bytes(figure_bytes(page, form, whole=True))
         text.write_text(printed.yaml(), encoding="utf-8")
     width, height = (1e3 * side for side in page.get_size_inches() * 0.0254)
@@ -129,8 +128,7 @@ def detect(
         raise MeasurementError(f"no photo shows the board: {reason} ({number} of {len(photos)})")
     table = _table(photos, row_of, options.camera)
     drawn = output.parent / f"{output.stem}.png"
-    outputs: list[tuple[Path, tuple[str, ...]]] = [(output, ()), (drawn, ())]
-    with writing_together(outputs, force=options.force) as (corners, sheet):
+    with writing_together([(output, ()), (drawn, ())], force=options.force) as (corners, sheet):
         write_table(corners, table)
         sheet.write_bytes(figure_bytes(contact_sheet(photos), "png"))
     say(*_left_out(photos))

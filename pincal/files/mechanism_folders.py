@@ -7,7 +7,7 @@ import os
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Protocol
 
 from pincal.errors import FileError, MechanismError, located
 from pincal.files.mechanism_yaml import YAML, mechanism_yaml, read_mechanism
@@ -15,9 +15,6 @@ from pincal.files.output import writing
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism
-
-if TYPE_CHECKING:
-    from pincal.calibration.result import CalibrationResult
 
 _log = logging.getLogger(__name__)
 MECHANISM_FILES = (YAML, "*.urdf")
@@ -113,7 +110,19 @@ def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = Fa
     return Path(folder)
 
 
-GivenMechanism: TypeAlias = "Mechanism | str | Path | CalibrationResult"
+class Calibrated(Protocol):
+    """An object with a calibrated mechanism, such as a ``CalibrationResult``."""
+
+    @property
+    def identified(self) -> Mechanism:
+        """The calibrated mechanism."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit converged, so that there is a calibrated mechanism."""
+
+
+GivenMechanism = Mechanism | str | Path | Calibrated
 """A mechanism, its bundled name, its folder, or a calibration's result."""
 
 
