@@ -15,11 +15,11 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_835,
+    "calibration": 6_820,
     "cli": 2_709,
-    "design": 2_356,
-    "estimation": 4_606,
-    "files": 3_392,
+    "design": 2_365,
+    "estimation": 4_623,
+    "files": 3_394,
     "formats": 3_484,
     "instruments": 1_550,
     "kinematics": 3_422,
@@ -27,7 +27,7 @@ LINES = {
     "show": 4_179,
     "symmetry": 1_372,
     "words": 966,
-    "workspace": 1_474,
+    "workspace": 1_499,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {

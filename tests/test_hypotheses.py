@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.calibration.hypotheses import plausibility
 from pincal.calibration.hypotheses.judging import Case
-from pincal.calibration.hypotheses.plausibility import check_copies, check_noise
+from pincal.calibration.hypotheses.plausibility import check_copies
+from pincal.estimation.noise import check_noise
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
 from pincal.model.platform import columns_of, rotation_of

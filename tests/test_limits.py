@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -85,8 +86,9 @@ def test_a_mesh_is_kept_out_as_the_box_that_it_is(tmp_path: Path) -> None:
     [
         ("--box", "q=0..1", "no range"),
         ("--box", "x=1..0", "lower end"),
-        ("--keep-out", "post.stl", "neither a box"),
-        ("--floor", "9", "widen them"),
+        ("--box", "x=0,2..0,3", "a decimal point, no comma"),
+        ("--keep-out", "post.stl", "No such file"),
+        ("--floor", "9", "are left out by --floor 9 m, most often because of the platform"),
         ("--floor", "nan", "finite height"),
         ("--clearance", "-1mm", "0 or more"),
         ("--margin-tension", "9", "no 'cables'"),
@@ -98,6 +100,29 @@ def test_limits_that_cannot_be(option: str, value: str, words: str, tmp_path: Pa
     assert refused.code == 2
     assert words in refused.trouble
     assert not (tmp_path / "plan.csv").exists()
+
+
+def test_limits_that_limit_nothing_or_everything_are_named(tmp_path: Path) -> None:
+    """Millimetres typed without a unit: what the candidates span; only given options are named."""
+    pincal.Plan(workspace("5R", 300)).to_csv(tmp_path / "c.csv", "5R")
+    plan = ("select", "5R", "--candidates", tmp_path / "c.csv", "--starts", 1)
+    plan += ("--count", 8, "-o", tmp_path / "plan.csv")
+    note = run(*plan, "--box", "x=-200..200, y=1..").err
+    assert "nothing is left out by --box x=-200..200 m, where candidates span x=-" in note
+    assert note.count("nothing is left out") == 1
+    refused = run(*plan, "--force", "--box", "x=200..", "--clearance", "40mm").trouble
+    assert re.search(r"none of (\d+) candidates.* \1 are left out by --box x=200\.\. m", refused)
+    assert "--floor" not in refused
+    assert "--keep-out" not in refused
+
+
+@pytest.mark.parametrize("command", [("select", "-o", "plan.csv"), ("identifiability",)])
+def test_noise_in_another_unit_is_refused(command: tuple[str, ...], tmp_path: Path) -> None:
+    """20 for 20 µm, 5 for 5 mrad: as calibrate does, before anything is planned."""
+    for option, value in (("--noise-position", 20), ("--noise-orientation", 5)):
+        refused = run(command[0], "3RRR", option, value, *command[1:])
+        assert refused.code == 2
+        assert "the noise given for the" in refused.trouble
 
 
 @pytest.mark.slow

@@ -293,11 +293,7 @@ def test_shuffled_copies_are_chosen_once() -> None:
     poses = np.tile(workspace("3RRR", 40), (400, 1))
     offered = poses[np.random.default_rng(0).permutation(len(poses))]
     for protocol in ("independent", "orbits"):
-        plan = pincal.select_poses(mechanism, offered, 10, protocol).plan
-        sets = np.array(plan.sets)
-        for name in set(plan.sets):
-            own = plan.poses[sets == name]
-            assert len(np.unique(own.round(9), axis=0)) == len(own)
+        assert no_pose_twice(mechanism, pincal.select_poses(mechanism, offered, 10, protocol).plan)
 
 
 def test_no_candidates_are_refused() -> None:

@@ -33,6 +33,7 @@ from pincal.calibration.validation import with_validation
 from pincal.errors import MeasurementError, MisfitError, ObservabilityError, PincalError
 from pincal.estimation.components import tie_of
 from pincal.estimation.fit import Outlier
+from pincal.estimation.noise import check_noise
 from pincal.estimation.system import FALSE_ALARM
 from pincal.estimation.unknowns import External
 from pincal.files.measurements import read_measurements
@@ -202,7 +203,7 @@ def blame_wrong_rows(
 def started(calibration: Calibration) -> Calibration:
     """Return a calibration with its measurements checked, and with its terms and start."""
     options = calibration.options
-    plausibility.check_noise(calibration.mechanism, options.noise)
+    check_noise(calibration.mechanism, options.noise)
     plausibility.check_copies(calibration.measurements, every_pose=options.every_pose)
     plausibility.check_contacts(calibration.observation, calibration.measurements)
     plausibility.check_distances(calibration)
@@ -349,7 +350,7 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
         return Remedy(findings, calibration, None, str(error), isinstance(error, MeasurementError))
     try:
         # an estimate may be implausible
-        plausibility.check_noise(calibration.mechanism, result.noise)
+        check_noise(calibration.mechanism, result.noise)
     except MeasurementError:
         return Remedy(findings, calibration, None, "residuals are too large for noise")
     remedy = Remedy(findings, calibration, result, "")

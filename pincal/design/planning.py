@@ -14,7 +14,7 @@ from pincal.design.orbits import selection_group
 from pincal.design.order import in_rounds, with_distances, with_verification
 from pincal.design.select import Goal, Protocol, Selection, select_configurations, select_poses
 from pincal.errors import MeasurementError, SymmetryError, WorkspaceError
-from pincal.estimation.noise import assumed_noise
+from pincal.estimation.noise import assumed_noise, check_noise
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
@@ -27,7 +27,7 @@ from pincal.model.setup import Setup
 from pincal.option import option
 from pincal.words.numbers import amount
 from pincal.workspace.criteria import Margins, in_workspace
-from pincal.workspace.limits import Limits, moving_points
+from pincal.workspace.limits import Limits
 from pincal.workspace.sampling import sample_configurations, sample_contacts
 
 CONFIGURATIONS = 3000
@@ -194,9 +194,14 @@ def _candidates(
     if choice.candidates is None and 0 < _FEW * len(within) < total:
         offered = sampled(mechanism, setup, 2 * _FEW * count, choice.seed, margins)
         within = offered.rows(choice.allow(mechanism, offered, setup))
+    limits = choice.within(mechanism, offered, setup)
+    for words, allowed in limits.items():
+        if allowed.all() and words.startswith("--box"):
+            _log.info("nothing is left out by %s (numbers without a unit: in m or rad)", words)
     if not len(within):
+        lost = [f"{(~allowed).sum()} are left out by {words}" for words, allowed in limits.items()]
         raise WorkspaceError(
-            f"none of {len(offered)} candidates is within --box, --floor and --keep-out; widen them"
+            f"none of {len(offered)} candidates is within the limits: {'; '.join(lost)}"
         )
     if choice.collision is not None:
         total, within = len(within), arm_free_of_collision(mechanism, within, choice.collision)
@@ -229,19 +234,25 @@ def _driven(
     if choice.verify:
         plan = with_verification(mechanism, plan, offered, choice.verify, choice.seed)
         _log.info("%d more poses, in the set 'verify', are kept for verification", choice.verify)
-    rows, blocked = len(plan), choice.blocked(moving_points(mechanism, plan, setup))
+    rows, blocked = len(plan), choice.blocked(mechanism, plan, setup)
     plan = in_rounds(mechanism, plan, choice.rounds, choice.reference, choice.seed, blocked)
     if repeated := len(plan) - rows:
         _log.info("one pose is measured %d times more, as the pose 'reference'", repeated)
     if blocked.any():
-        ways = np.diagonal(choice.blocked(moving_points(mechanism, plan, setup)), 1)
+        ways = np.diagonal(choice.blocked(mechanism, plan, setup), 1)
         if through := [f"{row + 1} to {row + 2}" for row in np.flatnonzero(ways)]:
             _log.info("ways pass through --keep-out: from row %s", listed(through))
     return with_distances(plan, choice.distances)
 
 
 def with_reading_noise(noise: Noise, mechanism: Mechanism) -> Noise:
-    """Return noise with a noise of readings, which machines with surplus readings need."""
+    """Return plausible noise, with a noise of readings, which machines with surplus readings need.
+
+    Raises:
+        MeasurementError: the noise is so large that its unit must be wrong.
+    """
+    if noise != Noise():
+        check_noise(mechanism, noise)
     if noise.reading or not mechanism.redundant:
         return noise
     reading = assumed_noise(mechanism, exact=False).reading

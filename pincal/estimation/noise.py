@@ -22,12 +22,14 @@ from pincal.model.platform import Platform
 from pincal.model.relations import ORIGIN, POLAR, ROW, Tracker
 from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
+from pincal.words.findings import finding, sentence
 
 Freedoms = tuple[float, ...]
 Source = Literal["given", "rows", "repeats", "estimated"]
 _ENOUGH = 30  # repeated rows; fewer say less about the noise than the residuals do
 _MARKED = 0.03  # noise of a marked point over the least noise of distances from it
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
+_PLAUSIBLE = 0.02  # most noise of positions, over the mechanism's size, or [rad]
 _ASSUMED_PIXEL = 0.5  # the same for pixels, [px]
 
 
@@ -349,3 +351,18 @@ def _of_tracker(tracker: Tracker, points: Array, names: Sequence[str]) -> Array:
     raised = tracker.elevation * np.array((-z * np.cos(azimuth), -z * np.sin(azimuth), level))
     root = np.stack((along.T, turned.T, raised.T), axis=2)
     return np.asarray(root @ root.transpose(0, 2, 1))[:, :n, :n]
+
+
+def check_noise(mechanism: Mechanism, noise: Noise | None) -> None:
+    """Raise if noise is above 2 % of a leg's size, or 0.02 rad, as its unit must be wrong."""
+    size, noise = mechanism.size, noise or Noise(0.0, 0.0)
+    turns = "rad" in mechanism.platform.units
+    for what, given, unit, most in (
+        ("position", noise.position, "m", _PLAUSIBLE * size),
+        ("orientation", noise.orientation, "rad", _PLAUSIBLE if turns else np.inf),
+    ):
+        if given > most:
+            values = finding(
+                "noise-too-large", what=what, given=given, unit=unit, most=most, size=size
+            )
+            raise MeasurementError(sentence(values))

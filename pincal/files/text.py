@@ -194,7 +194,9 @@ def in_si(text: str, dimensions: str, bare: str | None = "") -> float:
     foreign_unit = unit and dimension not in dimensions.split()
     if no_number or foreign_unit or (bare is None and not unit):
         known = [name for name, (kind, _) in UNITS.items() if kind in dimensions.split()]
-        raise MeasurementError(f"{text!r}: expected a number, with one of {', '.join(known)}")
+        pointed = " and a decimal point, no comma" * ("," in number)
+        units = f"with one of {', '.join(known)}{pointed}"
+        raise MeasurementError(f"{text!r}: expected a number, {units}")
     return float(f"{value * factor:.15g}")  # 20um is 2e-05, not 1.9999999999999998e-05
 
 

@@ -7,9 +7,11 @@ machine, and their straight paths between poses, stay outside.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,8 +27,10 @@ from pincal.model.setup import Setup
 from pincal.option import option
 from pincal.types import Array, Mask
 
+_BOX = "'x=0.2..0.5, y=0..1'"
 _SPACE = dict.fromkeys("xyz", "m")
 _ANY = (-np.inf, np.inf)
+_NEXT = re.compile(r",(?=\s*(?:\w+\s*=|$))")  # a comma that no decimal follows
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class Limits:
     )
     keep_out: tuple[str, ...] = option(
         (),
-        "Box, such as 'x=0.2..0.5, y=0..1', or mesh (.stl, .obj, in m; its hull counts), that the "
+        f"Box, such as {_BOX}, or mesh (.stl, .obj, in m; its hull counts), that the "
         "same points stay out of; may be repeated.",
         metavar="RANGES|MESH",
     )
@@ -57,8 +61,8 @@ class Limits:
     )
 
     @cached_property
-    def bodies(self) -> list[tuple[Array, Array]]:
-        """Bodies that points stay out of: A, shape (k, 3), and b, shape (k,), [m], of each.
+    def bodies(self) -> dict[str, tuple[Array, Array]]:
+        """Bodies that points stay out of: A, shape (k, 3), and b, shape (k,), [m], by option.
 
         Raises:
             MeasurementError: a range cannot be read, or the floor or clearance is not finite.
@@ -69,45 +73,59 @@ class Limits:
                 f"--floor {self.floor}, --clearance {self.clearance}: expected a finite height, "
                 "and a distance of 0 or more"
             )
-        bodies = []
+        bodies = dict[str, tuple[Array, Array]]()
         if self.floor is not None:
-            bodies.append((np.array([[0.0, 0.0, 1.0]]), np.array([self.floor])))
+            bodies[f"--floor {self.floor:g} m"] = np.eye(3)[2:], np.array([self.floor])
         for text in self.keep_out:
             if "=" in text:
                 low, high = np.array([_ranges(text, _SPACE).get(n, _ANY) for n in "xyz"]).T
-                bodies.append((np.vstack((np.eye(3), -np.eye(3))), np.append(high, -low)))
+                A, b = np.vstack((np.eye(3), -np.eye(3))), np.append(high, -low)
             else:
                 try:
+                    Path(text).stat()
                     mesh: Any = trimesh.load(text, force="mesh", process=False)
                     planes = ConvexHull(np.asarray(mesh.vertices)).equations
                 except Exception as error:  # readers of meshes raise many types
                     raise FileError(
-                        f"--keep-out {text}: neither a box, such as 'x=0.2..0.5, y=0..1', nor a "
-                        f"mesh that has an inside: {str(error).strip().partition(chr(10))[0]}"
+                        f"--keep-out {text}: neither a box, such as {_BOX}, nor a mesh "
+                        f"that has an inside: {str(error).strip().partition(chr(10))[0]}"
                     ) from error
-                bodies.append((planes[:, :3], -planes[:, 3]))
-        return [(A, b + self.clearance) for A, b in bodies]
+                A, b = planes[:, :3], -planes[:, 3]
+            bodies[f"--keep-out {text}"] = A, b
+        return {name: (A, b + self.clearance) for name, (A, b) in bodies.items()}
 
     def allow(self, mechanism: Mechanism, offered: Plan, setup: Setup) -> Mask:
-        """Return the mask of the configurations within the limits, shape (N,)."""
-        platform, within = mechanism.platform, np.ones(len(offered), dtype=bool)
-        ranges = _ranges(self.box, dict(zip(platform.coordinates, platform.units, strict=True)))
-        for name, (low, high) in ranges.items():
+        """Return the mask of the configurations within all limits, shape (N,)."""
+        masks = self.within(mechanism, offered, setup).values()
+        return np.logical_and.reduce([np.ones(len(offered), dtype=bool), *masks])
+
+    def within(self, mechanism: Mechanism, offered: Plan, setup: Setup) -> dict[str, Mask]:
+        """Return which configurations each limit allows, shape (N,), by words on the limit."""
+        platform, allowed = mechanism.platform, dict[str, Mask]()
+        units = dict(zip(platform.coordinates, platform.units, strict=True))
+        for name, (low, high) in _ranges(self.box, units).items():
             values = offered.poses[:, platform.coordinates.index(name)]
-            within &= (values >= low) & (values <= high)
-        if self.bodies:
-            points = moving_points(mechanism, offered, setup)
-            for A, b in self.bodies:
-                within &= ~np.any(np.all(points @ A.T < b, axis=2), axis=1)
-        return within
+            asked, reached = (
+                f"{name}={a:.4g}..{b:.4g}".replace("-inf", "").replace("inf", "")
+                for a, b in ((low, high), (values.min(), values.max()))
+            )
+            words = f"--box {asked} {units[name]}, where candidates span {reached}"
+            allowed[words] = (values >= low) & (values <= high)
+        if not self.bodies:
+            return allowed
+        points, owners = moving_points(mechanism, offered, setup)
+        for body, (A, b) in self.bodies.items():
+            inside = np.all(points @ A.T < b, axis=2)
+            words = f"{body} with --clearance {self.clearance:g} m" if self.clearance else body
+            words += f", most often because of {owners[int(inside.sum(axis=0).argmax())]}"
+            allowed[words] = ~inside.any(axis=1)
+        return allowed
 
-    def blocked(self, points: Array) -> Mask:
-        """Return which straight paths between N configurations lead a point through a body, (N, N).
-
-        ``points`` are the positions of P points, shape (N, P, 3), [m].
-        """
-        blocked = np.zeros((len(points), len(points)), dtype=bool)
-        for A, b in self.bodies:
+    def blocked(self, mechanism: Mechanism, plan: Plan, setup: Setup) -> Mask:
+        """Return which straight paths between N rows lead a point through a body, (N, N)."""
+        blocked = np.zeros((len(plan), len(plan)), dtype=bool)
+        points = moving_points(mechanism, plan, setup)[0] if self.bodies else np.empty(0)
+        for A, b in self.bodies.values():
             heights = points @ A.T  # inside the body where all are below b
             for row, begin in enumerate(heights):
                 along, room = heights - begin, b - begin  # inside where t · along < room
@@ -120,21 +138,28 @@ class Limits:
         return blocked
 
 
-def moving_points(mechanism: Mechanism, plan: Plan, setup: Setup) -> Array:
-    """Return positions of moving joints, platform and targets, (N, P, 3), [m], base frame."""
+def moving_points(mechanism: Mechanism, plan: Plan, setup: Setup) -> tuple[Array, list[str]]:
+    """Return positions, (N, P, 3), [m], base frame, of platform, targets and joints that move.
+
+    Their P names follow.
+    """
     plan = as_plan(mechanism, plan)
     joints, T = joints_at(mechanism, plan).joints, mechanism.platform.matrices(plan.poses)
     offsets = np.array([(0.0, 0.0, 0.0), *(target.offset for target in setup.targets.values())])
     tips = T[:, None, :3, 3] + offsets @ T[:, :3, :3].transpose(0, 2, 1)
-    links = [leg.link_placements(joints[leg.name])[:, :, :3, 3] for leg in mechanism.legs]
-    still = [np.ptp(points, axis=0).max(axis=1) == 0.0 for points in links]
-    return np.concatenate((tips, *(p[:, ~s] for p, s in zip(links, still, strict=True))), axis=1)
+    points, names = [tips], ["the platform", *setup.targets]
+    for leg in mechanism.legs:
+        places = leg.link_placements(joints[leg.name])[:, :, :3, 3]
+        moving = np.ptp(places, axis=0).max(axis=1) > 0.0
+        points.append(places[:, moving])
+        names += [f"{j.name} of {leg.name}" for j, m in zip(leg.joints, moving, strict=True) if m]
+    return np.concatenate(points, axis=1), names
 
 
 def _ranges(text: str, units: Mapping[str, str]) -> dict[str, tuple[float, float]]:
     """Return lowest and highest values, SI, by name, of a text ``x=-0.1..0.1, z=..1.8``."""
     ranges: dict[str, tuple[float, float]] = {}
-    for part in filter(None, map(str.strip, text.split(","))):
+    for part in filter(None, map(str.strip, _NEXT.split(text))):
         name, _, ends = (word.strip() for word in part.partition("="))
         low, dots, high = (word.strip() for word in ends.partition(".."))
         unit = units.get(name)

@@ -40,8 +40,7 @@ from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.forward import forward
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import Measurements, Noise
-from pincal.model.mechanism import Mechanism
+from pincal.model.measurements import Measurements
 from pincal.model.relations import ROW, TO
 from pincal.words.findings import finding, sentence
 from pincal.words.numbers import amount
@@ -375,18 +374,3 @@ def check_distances(calibration: Calibration) -> None:
                     f"the {kind} from row {a} to row {b} is {lengths[0]}, by the nominal machine "
                     f"{lengths[1]}, {question} Correct it, or the unit in the header"
                 )
-
-
-def check_noise(mechanism: Mechanism, noise: Noise | None) -> None:
-    """Raise if noise is above 2 % of a leg's size, or 0.02 rad, as its unit must be wrong."""
-    size, noise = mechanism.size, noise or Noise(0.0, 0.0)
-    turns = "rad" in mechanism.platform.units
-    for what, given, unit, most in (
-        ("position", noise.position, "m", QUESTIONED * size),
-        ("orientation", noise.orientation, "rad", QUESTIONED if turns else np.inf),
-    ):
-        if given > most:
-            values: dict[str, Any] = {"what": what, "given": given, "unit": unit}
-            raise MeasurementError(
-                sentence(finding("noise-too-large", **values, most=most, size=size))
-            )
