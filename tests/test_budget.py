@@ -22,7 +22,7 @@ LINES = {
     "files": 3_394,
     "formats": 3_484,
     "instruments": 1_550,
-    "kinematics": 3_422,
+    "kinematics": 3_420,
     "model": 3_557,
     "show": 4_179,
     "symmetry": 1_372,

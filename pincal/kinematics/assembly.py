@@ -1,9 +1,9 @@
-"""What other programs' files do not say: a home in which all legs close, parameters that count.
+"""Home configurations in which all legs close, and independent parameters, of imported files.
 
-Loops of more equations than freedoms close exactly only if every digit is there: a joint that has
-to move far for a small gap moves along no freedom, and stays. A passive joint's zero, or a shift
-along a joint's axis that the next placement has too, changes nothing: of the parameters in order,
-those are kept that add to the rank of the closure's derivatives, ranks cut in a widest gap.
+Loops with more equations than freedoms close exactly only if the file has all digits: where a small
+gap asks for a long motion, that direction is no freedom, and joints do not move along it. A passive
+joint's zero changes nothing, nor does a shift along its axis that the next placement has, too. Of
+the parameters in order those are taken that add to the rank of the closure's derivatives.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.types import Array, Mask
 
-_STEPS, _LARGEST = 100, 0.3  # of Newton's method: how many, and how far at once
-_STARTS, _WIDEST = 32, 1.5  # further ones, and how far about what is drawn, [rad] or of the size
-_CLOSED = 1e-10  # gap, of the size, of what is closed
-_SINGULAR = 1e-10  # of singular values, over the size: none
-_ERRORS = 1e-3  # singular values over the largest that errors of a machine make, or ten times it
-_CONFIGURATIONS, _ABOUT = 120, 0.3  # how many, and how far about home, [rad] or of the size
-_GRIP = 0.1  # of what passive joints usually move ends by: with less, closings are singular
-_IDLE = 1e-4  # of singular values, over the size: joints that do not move ends so far, do not
-_DEPENDS = 1e-7  # of a column, what others leave of it
+_STEPS, _LARGEST = 100, 0.3  # most steps of Newton's method, and longest step, [rad] or size
+_STARTS, _WIDEST = 32, 1.5  # further starts, and their range about the drawing, [rad] or size
+_CLOSED = 1e-10  # largest gap of closed legs over the size
+_SINGULAR = 1e-10  # largest singular value over the size that counts as zero
+_ERRORS = 1e-3  # share of the largest singular value that errors of a machine may make, to 1e-2
+_CONFIGURATIONS, _ABOUT = 120, 0.3  # their number, and range about home, [rad] or size
+_GRIP = 0.1  # share of the usual motion of ends by passive joints, below which they are singular
+_IDLE = 1e-4  # singular value over the size, below which joints usually do not move ends
+_DEPENDS = 1e-7  # share of a column that others leave of it, below which it depends on them
 
 
 def assembled(
@@ -39,10 +39,10 @@ def assembled(
 ) -> tuple[tuple[Leg, ...], Platform]:
     """Return the legs with home positions that close them, and the platform at its home pose.
 
-    The legs' home positions are where to start, and others about them within the limits where that
-    does not lead to what closes there: the nearest counts, within the limits if any is, and where
-    loops are drawn open, none that is singular if another is not. The platform's home does not
-    count. Cut digits may have moved frames by the slack, of a leg's size and [rad].
+    The search starts from the legs' home positions, and from others about them within the limits
+    if these do not close there. The nearest configuration is taken, if possible within the limits
+    and, where loops are drawn open, not singular. The platform's home is ignored. Cut digits may
+    have moved frames by the slack, relative to a leg's size and in [rad].
 
     Raises:
         MechanismError: no such configuration was found.
@@ -74,9 +74,9 @@ def assembled(
             "(keyframe of MJCF, 'home' of the YAML file), or look at the loops' frames and types"
         )
     pose, parts = free.from_matrices(poses[[best]])[0], _parts(closures, joints[[best]])
-    placed = (leg.with_home(q[0]) for leg, q in zip(legs, parts, strict=True))
-    settled = tuple(replace(leg, settled=False) for leg in placed)
-    return settled, replace(platform, home=tuple(pose.tolist()))
+    pairs = zip(legs, parts, strict=True)
+    closed = tuple(replace(leg.with_home(q[0]), settled=False) for leg, q in pairs)
+    return closed, replace(platform, home=tuple(pose.tolist()))
 
 
 def closed_near(
@@ -84,9 +84,8 @@ def closed_near(
 ) -> tuple[Array, Array, Mask]:
     """Return poses and readings near given ones at which all legs close, and which rows do.
 
-    For drives that are more than the freedoms, whose readings would contradict each other, and for
-    fewer, which leave freedoms open. Shapes (N, dof), (N, n_readings) and (N, n_influences);
-    nothing deforms.
+    More drives than freedoms may contradict each other, fewer leave freedoms open. Shapes are
+    (N, dof), (N, n_readings) and (N, n_influences); deformations are ignored.
     """
     legs, matrices = nominal_legs(mechanism), mechanism.platform.matrices(poses)
     known = [mechanism.known(place, readings, influences) for place in range(len(legs))]
@@ -101,9 +100,9 @@ def closed_near(
 
 
 def mobility(mechanism: Mechanism) -> int:
-    """Return how many freedoms joints and platform have at home while all legs close.
+    """Return the number of freedoms of joints and platform at home while all legs close.
 
-    Errors of a machine make equations that repeat each other differ, which is no constraint.
+    Errors of a machine make redundant equations differ slightly, which does not constrain it.
     """
     home = mechanism.platform.home_pose.as_matrix()
     joints = np.hstack([leg.home for leg in mechanism.legs])[None]
@@ -132,7 +131,7 @@ def _singular(
 ) -> Mask:
     """Return where passive joints of a leg move its ends less than they usually do, shape (N,).
 
-    They usually do as at drawn poses (M, 4, 4) and starts (M, n); what is idle does not count.
+    Usual is the median at drawn poses (M, 4, 4) and starts (M, n); idle joints do not count.
     """
     count, singular = len(joints), np.zeros(len(joints), dtype=bool)
     every = np.concatenate((poses, drawn))
@@ -145,7 +144,7 @@ def _singular(
 
 
 def _widest(closures: Sequence[LegClosure], pose: Array, joints: Array) -> str:
-    """Return in words where ends are farthest apart, and whether they ask more than joints give."""
+    """Return a text on the largest gap, and on conditions that no motion of the joints can meet."""
     (gaps,), (J,) = _linearised(closures, pose, joints)
     ends = [(closure, end) for closure in closures for end in closure.leg.every_end]
     counts = np.cumsum([len(closure.platform.closing(end)) for closure, end in ends])
@@ -162,8 +161,8 @@ def _closed(
 ) -> tuple[Array, Array, Array]:
     """Return poses (N, 4, 4) and joints of all legs (N, n), closed nearby, and largest gaps, (N,).
 
-    Along singular values below the least, over the size of the largest leg, [m], nothing moves.
-    Joints stay within limits at first, if given, (n,) each. Full turns are taken off at the end.
+    Directions of singular values below ``least``, over the size of the largest leg, do not move.
+    Limits, (n,) each, hold for the first half of the steps. Full turns are removed at the end.
     """
     platform, size = closures[0].platform, max(closure.size for closure in closures)
     turning = [unit == "rad" for unit in platform.units]
@@ -195,17 +194,16 @@ def _closed(
 
 
 def cut_in_gap(values: Array, least: float) -> float:
-    """Return where freedoms' singular values end: in the widest gap up to ten times the least."""
+    """Return the bound of zero singular values, in their widest gap up to ten times the least."""
     if least <= _SINGULAR:
         return least
-    near = values[(values > least) & (values < 10.0 * least)]
-    ends = np.sort(np.concatenate(([least, 10.0 * least], near)))
+    ends = np.sort(np.clip([least, 10.0 * least, *values], least, 10.0 * least))
     widest = int(np.argmax(np.diff(np.log(ends))))
     return float(np.sqrt(ends[widest] * ends[widest + 1]))
 
 
 def opening(legs: Sequence[Leg], platform: Platform) -> float:
-    """Return how far ends that should meet are apart at home, [m], the platform put in between."""
+    """Return the distance at home of ends that should meet, [m], with the platform between them."""
     free = Platform.at_origin(platform.kind, platform.twist)
     closures, home = [LegClosure(leg, free) for leg in legs], np.hstack([leg.home for leg in legs])
     pose, parts = _fitted(closures, home[None]), _parts(closures, home[None])
@@ -238,7 +236,7 @@ def independent(
 ) -> tuple[str, ...]:
     """Return the names of a leg's parameters, in an order, that depend on none before them.
 
-    Cut digits may have moved frames by the slack, of the leg's size and [rad].
+    Cut digits may have moved frames by the slack, relative to the leg's size and in [rad].
     """
     closure, rng = LegClosure(leg, platform), np.random.default_rng(0)
     lengths = [leg.size if unit == "m" else 1.0 for unit in platform.units]
