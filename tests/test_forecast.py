@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import loaded
 from command_line import done, run
 from differences import differentiated
 from marks import quick
@@ -13,6 +15,8 @@ from measured import seen_from_elsewhere, workspace
 
 import pincal
 from pincal.estimation.observability.identifiable import plausible_changes
+from pincal.show.explanation import forecast_lines
+from pincal.show.tables import standard_errors
 
 NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
 
@@ -235,6 +239,19 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     outcome = done("identifiability", "5R", "--measure", "x")
     assert "measured: x" in outcome.out
     assert run("identifiability", "3RRR", "--measure", "nothing").code == 2
+
+
+def test_what_is_not_determined_is_so_in_words_and_table() -> None:
+    """Of an arm's freedoms each is named once; parameters in words have no number in the table."""
+    arm = loaded("ur5")
+    plan, setup = pincal.sample_configurations(arm, 30, 1), pincal.Setup().anywhere(frame=True)
+    expected = pincal.forecast(arm, plan, NOISE, ["x", "y", "z"], setup)
+    first, lost, *_ = forecast_lines(expected, expected.platform_error(plan))
+    rank, unknowns, frames = map(int, re.findall(r"\d+", first)[:3])
+    assert rank + frames + int(re.findall(r", (\d+) freedoms more", lost)[0]) == unknowns
+    rows = {str(row[0]): str(row[-1]) for row in standard_errors(expected).cells()}
+    assert {rows[name] for name in re.findall(r"\.(\w+) and \w+\.\w+ move", lost)} == {"—"}
+    assert "held" in rows.values()
 
 
 def test_measurements_without_noise_are_refused() -> None:

@@ -94,6 +94,22 @@ def test_drift_is_that_of_the_machine(first: pincal.CalibrationResult) -> None:
     assert History(machine.names[:2], dates[:2], results[:2]).drift is None
 
 
+def test_a_jump_is_no_drift(first: pincal.CalibrationResult) -> None:
+    """Drift and the next check are by calibrations since the jump; the verdict says which are."""
+    results = [first, calibrated(2), calibrated(3), *(calibrated(s, gamma=1e-3) for s in (4, 5, 6))]
+    dates = [date(2026, month, 1) for month in range(1, 7)]
+    names = [day.isoformat() for day in dates]
+    few = History(tuple(names[:5]), tuple(dates[:5]), tuple(results[:5]))
+    assert few.since_jump.names == ("2026-04-01", "2026-05-01")
+    assert few.drift is None
+    verdict, _, drift, _ = HistoryPage(few, 1e-3).lines
+    assert verdict.endswith("on three dates since the jump before 2026-04-01")
+    assert drift.endswith("three dates since the jump before 2026-04-01")
+    history = History(tuple(names), tuple(dates), tuple(results))
+    assert history.drift == History(*(part[3:] for part in (names, dates, results))).drift
+    assert history.drift[0] < 2.0 * history.drift[1]
+
+
 @pytest.mark.slow
 def test_history_is_a_verdict_and_a_page(first: pincal.CalibrationResult, tmp_path: Path) -> None:
     """Verdict first, the change named with its dates, and a page that needs nothing else."""

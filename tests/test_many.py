@@ -22,7 +22,7 @@ import pincal
 from pincal.calibration.many import MonteCarlo, Workers, add_rows
 from pincal.design.platform_error import platform_error
 from pincal.files.journal import Row, RowFile
-from pincal.show.many import out_of_family, warned_by_chance
+from pincal.show.many import batch_lines, out_of_family, warned_by_chance
 
 NOISE = pincal.Noise(position=2e-5, reading=1e-6)
 TYPED = ("--noise-position", "20um", "--noise-reading", "1e-6", "--tolerance", "0.1mm,1mrad,0.001")
@@ -132,6 +132,18 @@ def test_a_sound_line_has_a_warning_in_one_case_of_a_hundred() -> None:
     assert 0.005 < np.mean(np.any(kept, axis=1)) < 0.015
     p[0, 3:5] = 1e-9, 0.009
     assert warned_by_chance({"p_warnings": p[0]})[3:5].tolist() == [False, True]
+
+
+def test_the_worst_machine_of_a_line_is_in_its_table() -> None:
+    """The first line's number stands beside its machine; warnings by chance are counted there."""
+    texts = {"file": ["a.csv", "b.csv"], "failure": ["", ""], "verdict": ["✓ good", "✗ bad"]}
+    columns = {name: np.array(entries, dtype=object) for name, entries in texts.items()}
+    columns |= {"p_warnings": np.array([np.nan, 9e-3]), "after [m]": np.array([1.7e-5, 3.1e-5])}
+    (first, table), bad = batch_lines(columns, pincal.load_mechanism("5R"))
+    assert first.startswith("✓ 5R: 2 of 2 machines calibrated · the worst to 0.031 mm · 0 out")
+    assert first.endswith(" · 1 with warnings expected by chance")
+    assert [row[1] for row in table.cells()] == ["0.017 mm", "0.031 mm"]
+    assert not bad
 
 
 @pytest.mark.slow

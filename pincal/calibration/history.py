@@ -25,6 +25,7 @@ from pincal.design.platform_error import seen_of
 from pincal.errors import FileError, MeasurementError
 from pincal.estimation.observability.identifiable import nearest_to_nominal, plausible_changes
 from pincal.kinematics.configurations import legs_at
+from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter
 from pincal.types import Array
 
@@ -63,16 +64,39 @@ class History:
         return np.array([result.identified.parameters.values for result in self.results])
 
     @cached_property
+    def since_jump(self) -> History:
+        """The calibrations since the last change that is no drift: a line does not explain it."""
+        days, values = self._centred_days, self.values
+        first = max((i for i, changed in enumerate(self.changes, 1) if changed), default=0)
+        if not first or not days.any():
+            return self
+        covariance = np.mean([result.covariance for result in self.results], axis=0)
+        white = _whitening(self.results[-1].nominal, covariance)
+        line = np.column_stack((np.ones(len(days)), days))
+        apart = (values - line @ np.linalg.lstsq(line, values, rcond=None)[0]) @ white.T
+        freedoms = (len(days) - 2) * len(white)
+        if not freedoms or chdtrc(freedoms, (apart**2).sum()) >= _ALARM:
+            return self
+        return History(self.names[first:], self.dates[first:], self.results[first:])
+
+    @property
+    def _centred_days(self) -> Array:
+        days = np.array([day.toordinal() for day in self.dates], dtype=float)
+        return days - days.mean()
+
+    @cached_property
     def drift(self) -> tuple[float, float] | None:
         """Root mean square drift of the platform at measured poses, and two standard errors, a day.
 
-        It is in m, or in rad if the platform only turns; None for fewer than three dates. It is by
-        the straight line through the parameters, their covariances, and their further scatter.
+        It is in m, or in rad if the platform only turns; None for fewer than three dates since the
+        last jump. It is by the straight line through the parameters, their covariances, and their
+        further scatter.
         """
-        days = np.array([day.toordinal() for day in self.dates], dtype=float)
+        if self.since_jump is not self:
+            return self.since_jump.drift
         if len(set(self.dates)) < 3:
             return None
-        last, centred = self.results[-1], days - days.mean()
+        last, centred = self.results[-1], self._centred_days
         legs = legs_at(last.identified, measured_plan(last))
         moved, units = seen_of(last.identified, legs.poses, legs.gain, seen_by(last))
         G = moved[:, [unit == units[0] for unit in units]].reshape(-1, moved.shape[2])
@@ -80,7 +104,7 @@ class History:
         slope, covariances = weights @ self.values, np.array([r.covariance for r in self.results])
         errors = self.values - self.values.mean(axis=0) - np.outer(centred, slope)
         expected = np.trace(G @ covariances.mean(axis=0) @ G.T)
-        excess = max(1.0, ((G @ errors.T) ** 2).sum() / (len(days) - 2) / expected)
+        excess = max(1.0, ((G @ errors.T) ** 2).sum() / (len(centred) - 2) / expected)
         variance = excess * np.trace(G @ np.tensordot(weights**2, covariances, 1) @ G.T)
         return float(np.linalg.norm(G @ slope)), 2.0 * float(np.sqrt(variance))
 
@@ -107,10 +131,7 @@ def changes(before: CalibrationResult, after: CalibrationResult) -> list[Change]
     """
     mechanism = after.nominal
     difference = after.identified.parameters.values - before.identified.parameters.values
-    scales = plausible_changes(mechanism)
-    values, axes = np.linalg.eigh((before.covariance + after.covariance) / np.outer(scales, scales))
-    known = values > _DETERMINED * values.max()
-    white = (axes[:, known] / np.sqrt(values[known])).T / scales
+    white = _whitening(mechanism, before.covariance + after.covariance)
     lost = [d for d in (after.gauge_directions, after.undetermined_directions) if d is not None]
     X, y = white, white @ difference
     if lost:  # the change where directions are fixed by choice
@@ -133,6 +154,14 @@ def changes(before: CalibrationResult, after: CalibrationResult) -> list[Change]
     parameters = [mechanism.parameters[i] for i in chosen]
     rows = zip(parameters, amounts.tolist(), stds.tolist(), alternatives, strict=True)
     return sorted(map(Change._make, rows), key=lambda change: -abs(change.value / change.std))
+
+
+def _whitening(mechanism: Mechanism, covariance: Array) -> Array:
+    """Return the matrix (k, n) that makes the k determined directions of n parameters white."""
+    scales = plausible_changes(mechanism)
+    values, axes = np.linalg.eigh(covariance / np.outer(scales, scales))
+    known = values > _DETERMINED * values.max()
+    return np.asarray((axes[:, known] / np.sqrt(values[known])).T / scales)
 
 
 def history_of(paths: Sequence[Path]) -> History:

@@ -208,6 +208,13 @@ class Forecast:
         blurred = np.abs(self.lost).max(axis=1, initial=0.0) > NEGLIGIBLE
         return np.where(blurred, np.inf, np.sqrt(np.diagonal(self.covariance)))
 
+    @property
+    def undetermined(self) -> list[tuple[str, ...]]:
+        """Ids of unknowns that move together, of which a parameter has no standard error."""
+        pairs = zip(self.mechanism.parameters, np.isinf(self.std), strict=True)
+        blurred = {parameter.id for parameter, unknown in pairs if unknown}
+        return [group for group in self.rank.groups if not blurred.isdisjoint(group)]
+
     @cached_property
     def weak(self) -> tuple[WeakPair, ...]:
         """Pairs of parameters that are weakly determined, the weakest first."""

@@ -200,8 +200,9 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
         lines[0] += "cannot be determined; errors of the platform are after a best fit of frames"
     else:
         lines[0] += f", condition {rank.condition:.3g}"
-    if forecast.lost.shape[1]:
-        lines.append(f"not determined (—): {groups_in_words(rank.groups)}")
+    if more := forecast.lost.shape[1]:
+        further = f", {counted(more, 'freedom')} more" if count else ""
+        lines.append(f"not determined (—){further}: {groups_in_words(forecast.undetermined)}")
     lines += weak_lines(forecast.weak, forecast.mechanism)
     sizes = [("position", error.position, "m"), ("orientation", error.orientation, "rad")]
     sizes = sizes if "rad" in error.units else sizes[:1]

@@ -168,21 +168,23 @@ def batch_lines(columns: Columns, mechanism: Mechanism) -> tuple[list[str | Tabl
     fine, unit = columns[FAILURE] == "", mechanism.platform.units[0]
     outside, by_chance = out_of_family(columns, mechanism), warned_by_chance(columns)
     rows, bad = list[list[Value]](), list[str]()
+    expected = columns[f"after [{unit}]"]
     for i, (name, verdict) in enumerate(zip(columns["file"], columns["verdict"], strict=True)):
         if by_chance[i]:
             p_value = chance(columns["p_warnings"][i])
             verdict = f"⚠{verdict[1:]}, expected by chance among {len(fine)} machines ({p_value})"
-        rows.append([name, verdict or f"✗ no result: {columns[FAILURE][i]}"])
+        size = Cell(expected[i], amount(expected[i], unit)) if np.isfinite(expected[i]) else None
+        rows.append([name, size, verdict or f"✗ no result: {columns[FAILURE][i]}"])
         bad += [name] * (verdict[:1] in ("", "✗"))
     mark = "⚠" if (bad or outside) and fine.any() else "✗" if bad else "✓"
     parts = [f"{len(fine) - len(bad)} of {len(fine)} machines calibrated"]
     if fine.any():
-        worst = float(np.max(columns[f"after [{unit}]"][fine]))
-        parts.append(f"the worst to {amount(worst, unit)}")
+        parts.append(f"the worst to {amount(float(np.max(expected[fine])), unit)}")
     parts.append(f"{len({name for name, _ in outside})} out of family")
+    parts += [f"{by_chance.sum()} with warnings expected by chance"] * bool(by_chance.any())
     lines: list[str | Table] = [f"{mark} {mechanism.name}: {' · '.join(parts)}"]
     lines += [f"out of family: {name}: {text}" for name, text in outside]
-    return [*lines, Table("", ["machine", "verdict"], rows)], bad
+    return [*lines, Table("", ["machine", "error", "verdict"], rows)], bad
 
 
 class HistoryPage(Page):
@@ -221,16 +223,22 @@ class HistoryPage(Page):
     @property
     def _drift(self) -> str:
         if (drift := self.history.drift) is None:
-            return "drift: too few calibrations; a trend needs three dates"
+            return f"drift: too few calibrations; a trend needs three dates{self._since}"
         unit = self.history.results[0].nominal.platform.units[0]
         rate, twice = (amount(_MONTH * value, unit, 2) for value in drift)
-        return f"drift at the measured poses: {rate} a month (± {twice})"
+        return f"drift at the measured poses{self._since}: {rate} a month (± {twice})"
+
+    @property
+    def _since(self) -> str:
+        steady = self.history.since_jump
+        return "" if steady is self.history else f" since the jump before {steady.names[0]}"
 
     @property
     def _due(self) -> str:
         due = None if self.accuracy is None else self.history.due(self.accuracy)
         if self.history.drift is None:
-            return "next check: not known, since a trend needs calibrations on three dates"
+            needed = f"a trend needs calibrations on three dates{self._since}"
+            return f"next check: not known, since {needed}"
         if self.accuracy is None:
             return "next check: give --accuracy (such as 0.1mm) to compute it"
         if due is None or due <= self.history.dates[-1]:

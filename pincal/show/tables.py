@@ -116,10 +116,11 @@ def standard_errors(forecast: Forecast) -> Table:
     """Return the standard errors of a forecast by parameter and leg."""
     mechanism = forecast.mechanism
     units = {p.name: p.unit for p in mechanism.parameters}
-    cells = {
-        p.id: Cell(std, uncertainty(std, p.unit, SMALL) if std < np.inf else "—")
-        for p, std in zip(mechanism.parameters, forecast.std.tolist(), strict=True)
-    }
+    sizes, cells = forecast.std.tolist(), dict[str, Cell]()
+    least = _HELD * max((std for std in sizes if std < np.inf), default=0.0)
+    for p, std in zip(mechanism.parameters, sizes, strict=True):
+        known = uncertainty(std, p.unit, SMALL) if std < np.inf else "—"
+        cells[p.id] = Cell(std, "held" if std < least else known)
     return Table(
         f"{mechanism.name}: standard errors (1 σ) from {forecast.poses} poses, measured: "
         f"{listed(forecast.measured) if forecast.measured else 'nothing'}",
@@ -171,6 +172,7 @@ def workspace_table(workspace: Workspace) -> Table:
 # Calibrations
 
 _MOST_OUTLIERS = 50  # outliers that are listed
+_HELD = 1e-8  # largest standard error, over the largest known one, of what stays at nominal
 _SEEN = 1e-6  # share of the largest effect, below which a parameter counts as without effect
 ERRORS = {"m": "position", "rad": "orientation", "px": "image"}
 _CHOSEN = ". Values and ± depend on what was fixed by choice; errors of the platform do not"
