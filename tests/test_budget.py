@@ -21,7 +21,7 @@ LINES = {
     "estimation": 4_623,
     "files": 3_394,
     "formats": 3_484,
-    "instruments": 1_550,
+    "instruments": 1_546,
     "kinematics": 3_420,
     "model": 3_557,
     "show": 4_190,

@@ -28,7 +28,7 @@ def read_setup(source: Setup | str | Path) -> Setup:
         "frame": lambda part: part.choice("base", "unknown"),
         "targets": lambda part: part.mapped(lambda p: p.built(Target)),
         "distances": lambda part: part.mapped(_distance),
-        "contacts": lambda part: part.mapped(_contact),
+        "contacts": lambda part: part.mapped(lambda p: p.built(Contact, "points", points=_points)),
         "mark": Entry.name,
         "columns": lambda part: part.mapped(Entry.text),
         "tracker": lambda part: part.built(Tracker),
@@ -51,10 +51,6 @@ def read_setup(source: Setup | str | Path) -> Setup:
 
 def _points(part: Entry) -> dict[str, Vector | None]:
     return part.mapped(lambda p: None if p.value == "unknown" else p.vector())
-
-
-def _contact(entry: Entry) -> Contact:
-    return entry.built(Contact, "points", points=_points)
 
 
 def _board(entry: Entry, name: str, folder: Path) -> Markers:
