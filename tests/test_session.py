@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from threading import Thread
@@ -21,11 +22,13 @@ import pytest
 from arms import loaded
 from bench import NOISE, Bench
 from command_line import done, run
+from marks import some_slow
 
 import pincal
 from pincal.calibration.promise import errors_inside
 from pincal.calibration.session import Session, SessionOptions
 from pincal.cli.design import serve
+from pincal.cli.measure import _appended
 from pincal.design.simulate import SimulatedMachine
 from pincal.files.columns import columns_of
 from pincal.files.journal import Journal
@@ -169,6 +172,48 @@ def test_slip_of_ten_sigma_is_off_and_can_be_kept(begun: Session) -> None:
         assert begun.doubtful[1] == pytest.approx(checked.sigma, rel=0.02)
         begun.undo()
     assert begun.doubtful is None
+
+
+def test_row_typed_again_replaces_one_that_is_off(begun: Session) -> None:
+    """At the question a measurement takes the place of the row; the other is kept aside."""
+    row, count = begun.next_pose()[0], len(begun.measured)
+    assert begun.add({"x": "1.5", "y": "2.5", "phi": "3.5"}).off
+    assert begun.add({"x": "4.5", "y": "2.5", "phi": "3.5"}).off
+    assert begun.next_pose()[0] == row
+    assert not begun.add(bench().entry(begun.columns, row)).off
+    assert len(begun.measured) == count + 1
+    begun.undo()
+
+
+@pytest.mark.parametrize("kind", some_slow(["3RRR", "6UPS"], "6UPS"))
+def test_kept_row_that_is_absurd_is_the_one_that_is_named(tmp_path: Path, kind: str) -> None:
+    """It does not hold up later fits, nor when the session is resumed, and others are not blamed.
+
+    The rows after it are sound, and stay so.
+    """
+    mechanism = pincal.load_mechanism(kind)
+    machine = Bench(mechanism, pincal.sample_configurations(mechanism, 40, 3))
+    options = SessionOptions(noise=NOISE, accuracy=ACCURACY)
+    opened = Session(Journal(tmp_path / "s"), mechanism, machine.plan, options)
+    begun = time.process_time()
+    for count in range(9):
+        row = opened.next_pose()[0]
+        numbers = enumerate(opened.observed)
+        absurd = {head: str(1500.0 + place) for place, head in numbers} if count == 2 else {}
+        checked = opened.add(machine.entry(opened.columns, row) | absurd)
+        assert checked.off == (count == 2)
+        if checked.off:
+            opened.keep()
+        if count >= 2:
+            assert opened.doubtful is not None
+            assert opened.doubtful[0] == 2
+    opened.journal.close()
+    resumed = Session(Journal(tmp_path / "s"), mechanism, machine.plan, options)
+    assert time.process_time() - begun < 60.0
+    assert resumed.doubtful is not None
+    assert resumed.doubtful[0] == 2
+    resumed.undo(2)
+    assert resumed.doubtful is None
 
 
 def test_rows_that_no_other_confirms_are_not_doubted(tmp_path: Path) -> None:
@@ -362,6 +407,49 @@ def test_session_with_nobody_there_ends(
     assert outcome.code == 1
     assert f"{end}, but the accuracy is not reached" in outcome.err
     assert "rows in s/rows.csv" in outcome.out
+
+
+@pytest.mark.slow
+def test_poses_for_verification_follow_when_enough(
+    machine: tuple[SimulatedMachine, str],
+) -> None:
+    """Unattended too, all of them, whether it is enough or no other pose is left."""
+    simulated, port = machine
+    plan = pincal.sample_configurations(simulated.mechanism, 60, 3)
+    sets = ("all",) * 54 + ("verify",) * 6
+    table = columns_of(simulated.mechanism, replace(plan, sets=sets))
+    pincal.files.table.write_table("plan.csv", table)
+    outcome = unattended(port, "0.1mm", "--plan", "plan.csv")
+    assert outcome.code == 0
+    rows = pincal.Measurements.from_csv("s/rows.csv", simulated.mechanism)
+    assert rows.verifying.sum() == 6
+    assert len(rows) < 60
+
+
+def test_followed_file_may_begin_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Truncated or replaced, a log is read from its beginning; half a line waits for its end."""
+    log = tmp_path / "log"
+    log.write_text("old\n" * 100)
+    lines = _appended(log)
+
+    def written(texts: list[str]) -> None:
+        for text in texts:
+            time.sleep(0.3)
+            log.write_text(text)
+
+    def appended(text: str) -> None:
+        time.sleep(0.1)
+        with log.open("a") as file:
+            file.write(text)
+
+    Thread(target=appended, args=("1 2\n\n",)).start()
+    assert next(lines) == "1 2\n"
+    Thread(target=written, args=(["", "3 ", "3 4\n5 6\n"],)).start()
+    assert [next(lines), next(lines)] == ["3 4\n", "5 6\n"]
+    (tmp_path / "new").write_text("7 8\n" * 200)
+    (tmp_path / "new").replace(log)
+    assert next(lines) == "7 8\n"
+    assert capsys.readouterr().err.count("begins anew") >= 2
 
 
 def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,7 @@ from pincal.calibration.calibrate import calibrate, prepared
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.hypotheses.faults import faults_of_a_row
-from pincal.calibration.hypotheses.judging import AS_MEASURED, Case, Hypothesis
+from pincal.calibration.hypotheses.judging import Case, Hypothesis
 from pincal.calibration.options import Options, Tolerance
 from pincal.calibration.promise import errors_inside
 from pincal.calibration.result import CalibrationResult
@@ -47,7 +47,7 @@ from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.option import option
-from pincal.types import Array, Index
+from pincal.types import Array, Index, Mask
 from pincal.words.findings import finding
 from pincal.words.numbers import SI, Units
 
@@ -58,6 +58,7 @@ FALSE_ALARM = 3e-3
 ENOUGH = 0.95
 """Share of the workspace that the measured region, in which errors are stated, should cover."""
 _LARGEST = 3.0  # standard deviations of the largest differences of machines from the drawing
+_FAR = 10.0  # standard deviations from the drawing at which a row says nothing of the machine
 _CAUSES = 3  # largest number of causes that are named
 _SEEN = 1e-6  # least share of a slip's square that shows in a residual
 _CONFIRMED = 1e-8  # least share of the variance of a row's residuals that other rows predict
@@ -149,6 +150,7 @@ class Session:
         self.forecast = self.candidates.limits(self.candidates.course())
         self.chosen: int | None = None
         """Row of the plan that the user chose to measure next, if any."""
+        self._skipped = list[int]()
         self.journal = journal
         journal.open(list(self.sheet))
         with located(journal.path, MeasurementError):
@@ -186,19 +188,34 @@ class Session:
     def next_pose(self) -> tuple[int, float]:
         """Return the row of the plan to measure next, and the share by which it lowers errors.
 
-        It is the last row while that is questioned, else the chosen one. When it is enough, rows
-        reserved for verification come first.
+        It is the last row while that is questioned, else the chosen one. When it is enough, or no
+        other row is left, rows for verification come first.
         """
         if self.questioned:
             return self.measured[-1], 0.0
         if self.chosen is not None:
             return self.chosen, 0.0
-        reserved = np.setdiff1d(np.flatnonzero(self.plan.verifying), self.measured)
-        if self.enough and len(reserved):
+        reserved = self._reserved
+        if len(reserved) and (self.enough or self._exhausted):
             return int(reserved[0]), 0.0
         if (row := self._outermost()) is not None:
             return row, 0.0
         return self.candidates.best(self.measured)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it is enough, or no row is left, and all rows for verification were measured."""
+        done = self._exhausted or (self.enough and not self.doubtful)
+        return done and not self.questioned and not len(self._reserved)
+
+    @property
+    def _reserved(self) -> Index:
+        """Rows for verification that are still to be measured."""
+        return np.setdiff1d(np.flatnonzero(self.plan.verifying), [*self.measured, *self._skipped])
+
+    @property
+    def _exhausted(self) -> bool:
+        return not self.candidates.fresh(self.measured).any()
 
     def _outermost(self) -> int | None:
         """Return the row of the plan farthest outside a measured region that is too small."""
@@ -222,6 +239,8 @@ class Session:
     def add(self, entry: Mapping[str, str], row: int | None = None) -> Checked:
         """Record and check what was measured at a row of the plan, by default the next one.
 
+        It replaces a last row of the same pose that is off.
+
         Args:
             entry: Cells by header or name of the column, in the units of the headers. Readings that
                 are left out are the commanded ones.
@@ -244,9 +263,15 @@ class Session:
             )
         for head in set(self.columns) - set(self.observed):
             cells[head] = cells[head] or cells[f"{PLANNED}{head}"]
+        last = len(self.journal.rows) - 1
+        replaced = self.questioned and row == self.measured[last]
         self.journal.append(cells)
         try:
-            checked = self._judge(self._read())
+            calibration = self._read()
+            if replaced:
+                self.journal.undo(last)
+                calibration = self._read()
+            checked = self._judge(calibration)
         except MeasurementError:
             self.journal.undo(len(self.journal.rows) - 1)
             raise
@@ -256,6 +281,7 @@ class Session:
     def skip(self, row: int) -> None:
         """Do not offer a row of the plan again until the session is reopened."""
         self.candidates.offered[row], self.chosen = False, None
+        self._skipped.append(row)
 
     def keep(self) -> None:
         """Keep the last row although it is off."""
@@ -283,11 +309,16 @@ class Session:
         self._forget()
         workspace, wanted = self.candidates.workspace, self.options.accuracy or 0.0
         try:
-            self._fits = fitted(calibration)
+            near, rows = self._near(calibration), self.measured
+            self._fits = fitted(calibration.rows(near))
             self.doubtful, self.result = _doubtful_row(self._fits), assemble(self._fits)
+            if len(far := np.flatnonzero(~near)):
+                others = self._predicted(calibration.rows(far), [rows[row] for row in far])
+                sigmas = _row_verdicts(*others, slice(None))[1]
+                self.doubtful = int(far[sigmas.argmax()]), float(sigmas.max())
             expected, self.error = errors_inside(self.result, workspace)
             self.share = len(self.error.std) / max(expected.poses, 1)
-            if not self.error.limit[0] <= wanted:
+            if len(far) or not self.error.limit[0] <= wanted:
                 return
             if self.share < ENOUGH:
                 self._outside = np.nan_to_num(self.result.expected_error(self.plan).outside)
@@ -302,15 +333,23 @@ class Session:
     @one_thread()
     def _check(self, calibration: Calibration) -> Checked:
         """Return the verdict on the last row by its prediction from the others."""
-        row = len(calibration.measurements) - 1
+        row, place = len(calibration.measurements) - 1, self.measured[-1:]
         if self._fits is None and len(calibration.observation.external):
             return Checked(row, None)
-        r, S, linear = self._predicted(calibration, [AS_MEASURED])
+        last = calibration.rows(np.array([row]))
+        r, S, linear = self._predicted(last, place)
         square, sigma, chance, worst, left = (v[0] for v in _row_verdicts(r, S, linear, slice(1)))
         if chance >= FALSE_ALARM:
             return Checked(row, float(sigma))
         tried = list(faults_of_a_row(Case(calibration, np.array([row]))))
-        squares = _squares(*self._predicted(calibration, tried)[:2])
+        righted = [hypothesis.right(last.measurements) for hypothesis in tried]
+        data = replace(
+            last.measurements.rows(np.zeros(len(righted), dtype=np.intp)),
+            poses=np.concatenate([trial.poses for trial in righted]),
+            readings=np.concatenate([trial.readings for trial in righted]),
+        )
+        trials = replace(calibration, measurements=data, known_noise=None)
+        squares = _squares(*self._predicted(trials, place * len(data))[:2])
         equations = max(int(linear.equations[0]), 1)
         nearly = _NEARLY * square if np.isfinite(square) else 0.0
         fits = (chdtrc(equations, squares) >= FALSE_ALARM) | (squares <= nearly)
@@ -331,32 +370,39 @@ class Session:
         )
         return Checked(row, float(sigma), True, quantity, causes)
 
-    def _predicted(
-        self, calibration: Calibration, hypotheses: Sequence[Hypothesis]
-    ) -> tuple[Array, Array, Linear]:
-        """Return residuals of the last row under hypotheses, (N, k), their covariances, conditions.
+    def _near(self, calibration: Calibration) -> Mask:
+        """Return which rows a machine like the drawing may have given, shape (N,).
 
-        Conditions are at the poses that fit best, searched from the planned ones.
+        Others would spoil a fit, and take its search minutes. Where the drawing alone predicts
+        none, as in an unknown frame, all do; so do rows that are as far off as half of all rows.
         """
-        last = calibration.measurements.rows(np.array([len(calibration.measurements) - 1]))
-        righted = [hypothesis.right(last) for hypothesis in hypotheses]
-        data = replace(
-            last.rows(np.zeros(len(righted), dtype=np.intp)),
-            poses=np.concatenate([trial.poses for trial in righted]),
-            readings=np.concatenate([trial.readings for trial in righted]),
-        )
-        trial = replace(calibration, measurements=data, known_noise=None)
-        parameters, external = self.mechanism.parameters.values, trial.observation.external.start
+        count = len(calibration.measurements)
+        if len(calibration.observation.external):
+            return np.ones(count, dtype=bool)
+        predicted = self._predicted(calibration, self.measured[:count])
+        sigmas = _row_verdicts(*predicted, slice(None))[1]
+        return np.asarray(sigmas <= _FAR * max(1.0, np.sort(sigmas)[(count - 1) // 2]))
+
+    def _predicted(
+        self, calibration: Calibration, places: Sequence[int]
+    ) -> tuple[Array, Array, Linear]:
+        """Return residuals of rows against predictions, (N, k), their covariances, conditions.
+
+        Predictions are those of the last fit; of the drawing, if there is none. Conditions are at
+        the poses that fit best, searched from those planned at ``places``.
+        """
+        parameters = self.mechanism.parameters.values
+        external = calibration.observation.external.start
         rows, excess = self.candidates.beforehand, 1.0
         if self._fits is not None and self.result is not None:
             fit, excess = self._fits.fits[0], self.result.excess
             parameters, external = fit.parameters, self._fits.external
             known_rows = fit.last.jacobian[fit.good].reshape(-1, rows.shape[1])
             rows = np.concatenate((rows, known_rows / excess))
-        planned = self.mechanism.platform.matrices(self.plan.poses[self.measured[-1:]])
-        state = State(parameters, np.repeat(planned, len(data), axis=0), external=external)
+        planned = self.mechanism.platform.matrices(self.plan.poses[places])
+        state = State(parameters, planned, external=external)
         with np.errstate(all="ignore"):
-            linear, _ = solve_poses(trial.latent_problem.evaluate(state))
+            linear, _ = solve_poses(calibration.latent_problem.evaluate(state))
             R = np.asarray(np.linalg.qr(rows, mode="r"))
             W = np.linalg.solve(R.T, linear.jacobian.mT)
             return linear.residuals, excess**2 * np.eye(W.shape[2]) + W.mT @ W, linear
@@ -414,7 +460,7 @@ def _doubtful_row(fits: Fits) -> tuple[int, float] | None:
     unpredicted = (1.0 + _CONFIRMED) * np.eye(r.shape[1]) - fit.Q @ fit.Q.mT
     S = np.asarray(np.linalg.inv(unpredicted), dtype=float)
     _, sigmas, chances, *_ = _row_verdicts((S @ r[:, :, None])[:, :, 0], S, fit.last, rows)
-    worst = int(chances.argmin())
+    worst = int(sigmas.argmax())  # chances may all be zero
     if chances[worst] * len(rows) >= FALSE_ALARM:
         return None
     return int(rows[worst]), float(sigmas[worst])

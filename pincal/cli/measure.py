@@ -8,6 +8,7 @@ one line per pose.
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import socket
 import sys
@@ -213,36 +214,49 @@ def _source(options: SourceOptions) -> Iterator[Ask | None]:
         raise typer.BadParameter(f"--tcp {options.tcp}: expected HOST:PORT")
     with explaining(str(options.follow or options.tcp)):
         if options.follow is not None:
-            with options.follow.open(encoding="utf-8", errors="replace") as file:
-                file.seek(0, 2)
-                yield lambda _: _line(file)
+            lines = _appended(options.follow)
+            yield lambda _: next(lines)
         elif options.tcp is not None:
             with socket.create_connection((host, int(port)), _PATIENCE) as line:
                 line.settimeout(None)
                 with line.makefile("rw", encoding="utf-8", newline="\n") as stream:
-                    yield lambda points: _line(stream, points)
+                    yield lambda points: _answer(stream, points)
         else:
             say(*[_HELP] * options.terminal)
             yield None
 
 
-def _line(stream: TextIO, points: dict[str, float] | None = None) -> str:
-    """Return the next complete line of a file, or the line that answers set points.
+def _appended(path: Path) -> Iterator[str]:
+    """Yield the lines by which a file grows, and all lines whenever it begins anew."""
+    whence = os.SEEK_END
+    while True:
+        with path.open("rb") as file:
+            file.seek(0, whence)
+            line, before = b"", os.fstat(file.fileno())
+            while os.path.samestat(before, now := path.stat()) and now.st_size >= file.tell():
+                line = line.lstrip() + file.readline()
+                if not line.endswith(b"\n"):
+                    time.sleep(_WAIT)
+                elif not line.isspace():
+                    yield line.decode(errors="replace")
+                    line = b""
+        warn(f"{path} begins anew, and is read from its beginning")
+        whence = os.SEEK_SET
+
+
+def _answer(stream: TextIO, points: dict[str, float]) -> str:
+    """Return the line that answers set points.
 
     Raises:
         FileError: the other end closed the connection.
     """
-    if points is not None:
-        stream.write(json.dumps(points) + "\n")
-        stream.flush()
-    line = ""
-    while not line.endswith("\n") or line.isspace():
-        part = stream.readline()
-        if not part and points is not None:
-            raise FileError("the other end hung up; start it again, then this command")
-        if not part:
-            time.sleep(_WAIT)
-        line = line.lstrip("\n") + part
+    stream.write(json.dumps(points) + "\n")
+    stream.flush()
+    line = "\n"
+    while line.isspace():
+        line = stream.readline()
+    if not line.endswith("\n"):
+        raise FileError("the other end hung up; start it again, then this command")
     if line.startswith('{"trouble"'):
         warn(f"the pose is skipped: {line.strip()}")
         return "s"
@@ -250,7 +264,7 @@ def _line(stream: TextIO, points: dict[str, float] | None = None) -> str:
 
 
 def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Lock) -> None:
-    """Measure one pose after another, until the user leaves, or a source has given enough.
+    """Measure one pose after another, until the user leaves, or a source has given all.
 
     The user decides on a row that is off, on the page or in the terminal. Unattended, it is undone,
     unless the row before was off as well, which speaks against earlier rows; so is a row that all
@@ -259,11 +273,10 @@ def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Loc
     on_page, off = not source.terminal, 0
     attended = ask is None or on_page or sys.stdin.isatty()
     while ask or not on_page:
-        doubted = session.questioned or session.doubtful
-        if ask and session.enough and not session.doubtful:
-            break
-        if doubted and not attended:
+        if (session.questioned or session.doubtful) and not attended:
             _settle(session, keep=off > 1)
+        elif ask and session.finished:
+            break
         elif session.questioned and on_page:
             time.sleep(_WAIT)
         else:
@@ -271,6 +284,8 @@ def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Loc
             with lock:
                 _take(session, line, row, source.pattern, strict=ask is not None)
             off = off + 1 if session.questioned else 0
+    if ask and session.options.accuracy and not session.enough:
+        fail(1, "no pose of the plan is left, but the accuracy is not reached")
     if on_page:
         Event().wait()
 
@@ -279,11 +294,9 @@ def _asked(session: Session, ask: Ask | None, off: int) -> tuple[int, str]:
     """Return the next row of the plan, and the line that a source or the user enters there."""
     row, gain = session.next_pose()
     if session.questioned:
-        return row, input("u: undo it, k: keep it > ")
-    exhausted = not session.candidates.fresh(session.measured).any()
-    if ask and (exhausted or off >= _OFF):
-        last = f"the last {off} rows were off" if off >= _OFF else "no pose of the plan is left"
-        fail(1, f"{last}, but the accuracy is not reached")
+        return row, input("enter it again, or u: undo it, k: keep it > ")
+    if ask and off >= _OFF:
+        fail(1, f"the last {off} rows were off, but the accuracy is not reached")
     points = set_points(session, row)
     falls = f"; errors fall by {percent(gain)}" * (gain > 0.0)
     say(f"\npose {row + 1} of {len(session.plan)}{falls}. Drive to")
