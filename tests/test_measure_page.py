@@ -65,7 +65,11 @@ def test_foreign_hosts_and_origins_are_refused(server: PageServer, session: Sess
     assert asked(server.url, "/state", Host="elsewhere.example")[0] == 421
     assert asked(server.url, "/state", order, Origin="http://elsewhere.example")[0] == 403
     assert asked(server.url, "/state", order, Origin="null")[0] == 403
-    assert asked(server.url, "/state", "no order")[0] == 400
+    faulty = ("no order", {**order, "line": 5}, {**order, "row": 9999}, {**order, "row": "a"})
+    for posted in (*faulty, json.loads("[" * 900 + "]" * 900)):
+        assert asked(server.url, "/state", posted)[0] == 400
+    for row in ("-1", "9999", "a"):
+        assert asked(server.url, f"/picture?row={row}")[0] == 400
     assert asked(server.url, "/other")[0] == 404
     assert len(session.journal.rows) == 10
     status, text = asked(server.url, "/state", order, Origin=server.url.rstrip("/"))
@@ -85,7 +89,7 @@ def test_two_windows_lose_nothing(server: PageServer, session: Session, bench: B
     wrong = {**order, "version": second["version"], "line": "1 2 3 4 5 6 7"}
     refused = json.loads(asked(server.url, "/state", wrong)[1])
     assert refused["count"] == 11
-    assert refused["trouble"].startswith("7 numbers; expected x [mm], y [mm]")
+    assert refused["trouble"].startswith("'1 2 3 4 5 6 7' is neither x [mm], y [mm]")
 
 
 @pytest.mark.slow

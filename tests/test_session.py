@@ -462,7 +462,7 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
         f"r 3\n{machine.line(columns, 2)}",
         "r 5\n" + machine.line(columns[:3], 4).replace(" ", "\t"),
         f"r 6\n{json.dumps({head[:-5].strip(): 1.0 for head in columns[:2]})}\n1 2",
-        "u\nq\n",
+        'h\n{"x":' + '{"x":' * 50_000 + "\nu\nq\n",
     ]
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(typed)))
     command = ("measure", "3RRR", "--session", "s", "--terminal")
@@ -470,7 +470,9 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     outcome = done(*command, "--plan", "plan.csv", *noise)
     assert "row 1 is recorded: " in outcome.out
     assert "3 rows in" not in outcome.out
-    assert "expected x [mm], y [mm], phi [deg], or all of x [mm], " in outcome.err
+    assert "'1 2' is neither x [mm], y [mm], phi [deg], or all of x [mm], " in outcome.err
+    assert outcome.out.count("u: undo the last row") == 2
+    assert outcome.err.count(" is no JSON: ") == 1
     assert "2 rows in s/rows.csv" in outcome.out
     assert outcome.out.splitlines()[-1] == (
         "next: pincal calibrate 3RRR s/rows.csv --noise-position 2e-05 --noise-orientation 2e-05 "
@@ -485,7 +487,8 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     resumed = done(*command, "--accuracy", "0.2mm")
     assert "there is no row '0'; the last is row 2" in resumed.err
     assert "there is no pose '99'; the last is pose " in resumed.err
-    assert "more poses for 0.2 mm" in resumed.out
+    assert "1 pose: not all parameters are determined yet" in resumed.out
+    assert "more pose" not in resumed.out  # a forecast would say nothing yet
     assert "warning: --accuracy was 0.0001 so far and is now 0.0002" in resumed.err
     assert "noise" not in resumed.err
     moved = pincal.disturb("3RRR", 1e-3, seed=1)

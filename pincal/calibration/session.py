@@ -250,19 +250,7 @@ class Session:
             MeasurementError: a cell is not a number, or nothing was measured; nothing is recorded.
         """
         row = self.next_pose()[0] if row is None else row
-        cells = {head: column[row] for head, column in self.sheet.items()}
-        heads = {name: head for head in self.columns for name in (head, head.partition(" [")[0])}
-        for name in heads.keys() & entry.keys():  # an instrument may send more
-            cell, head = entry[name].strip(), heads[name]
-            if cell and not abs(plain_number(cell)) <= LARGEST:
-                raise MeasurementError(f"{head}: {cell!r} is no number; enter the row again")
-            cells[head] = cell
-        if self.observed and not any(cells[head] for head in self.observed):
-            raise MeasurementError(
-                f"nothing was measured: {', '.join(entry)}; expected {', '.join(self.observed)}"
-            )
-        for head in set(self.columns) - set(self.observed):
-            cells[head] = cells[head] or cells[f"{PLANNED}{head}"]
+        cells = self._cells(entry, row)
         last = len(self.journal.rows) - 1
         replaced = self.questioned and row == self.measured[last]
         self.journal.append(cells)
@@ -277,6 +265,24 @@ class Session:
             raise
         self.chosen = None
         return checked
+
+    def _cells(self, entry: Mapping[str, str], row: int) -> dict[str, str]:
+        """Return all cells of the sheet at a row of the plan, with those entered."""
+        cells = {head: column[row] for head, column in self.sheet.items()}
+        heads = {name: head for head in self.columns for name in (head, head.partition(" [")[0])}
+        for name in heads.keys() & entry.keys():  # an instrument may send more
+            cell, head = entry[name].strip(), heads[name]
+            if cell and not abs(plain_number(cell)) <= LARGEST:
+                raise MeasurementError(f"{head}: {cell!r} is no number; enter the row again")
+            cells[head] = cell
+        if self.observed and not any(cells[head] for head in self.observed):
+            raise MeasurementError(
+                f"nothing was measured: got {', '.join(entry) or 'no number'}; expected "
+                f"{', '.join(self.observed)}"
+            )
+        for head in set(self.columns) - set(self.observed):
+            cells[head] = cells[head] or cells[f"{PLANNED}{head}"]
+        return cells
 
     def skip(self, row: int) -> None:
         """Do not offer a row of the plan again until the session is reopened."""
@@ -342,14 +348,7 @@ class Session:
         if chance >= FALSE_ALARM:
             return Checked(row, float(sigma))
         tried = list(faults_of_a_row(Case(calibration, np.array([row]))))
-        righted = [hypothesis.right(last.measurements) for hypothesis in tried]
-        data = replace(
-            last.measurements.rows(np.zeros(len(righted), dtype=np.intp)),
-            poses=np.concatenate([trial.poses for trial in righted]),
-            readings=np.concatenate([trial.readings for trial in righted]),
-        )
-        trials = replace(calibration, measurements=data, known_noise=None)
-        squares = _squares(*self._predicted(trials, place * len(data))[:2])
+        squares = _squares(*self._predicted(_righted(last, tried), place * len(tried))[:2])
         equations = max(int(linear.equations[0]), 1)
         nearly = _NEARLY * square if np.isfinite(square) else 0.0
         fits = (chdtrc(equations, squares) >= FALSE_ALARM) | (squares <= nearly)
@@ -406,6 +405,17 @@ class Session:
             R = np.asarray(np.linalg.qr(rows, mode="r"))
             W = np.linalg.solve(R.T, linear.jacobian.mT)
             return linear.residuals, excess**2 * np.eye(W.shape[2]) + W.mT @ W, linear
+
+
+def _righted(row: Calibration, hypotheses: Sequence[Hypothesis]) -> Calibration:
+    """Return the calibration of a row as it should read under hypotheses, a row each."""
+    trials = [hypothesis.right(row.measurements) for hypothesis in hypotheses]
+    data = replace(
+        row.measurements.rows(np.zeros(len(trials), dtype=np.intp)),
+        poses=np.concatenate([trial.poses for trial in trials]),
+        readings=np.concatenate([trial.readings for trial in trials]),
+    )
+    return replace(row, measurements=data, known_noise=None)
 
 
 def place_of(noun: str, number: str, count: int) -> int:

@@ -47,7 +47,7 @@ _WAIT = 0.2  # seconds between two looks at a growing file
 _HELP = (
     "enter the measurements, in the order of the columns; readings left out are taken as "
     "commanded. u: undo the last row, u 3: row 3; s: skip this pose; r 12: go to pose 12 of the "
-    "plan; p: parameters; q: quit ('pincal measure MECH --session FOLDER' continues)"
+    "plan; p: parameters; h: help; q: quit ('pincal measure MECH --session FOLDER' continues)"
 )
 Ask = Callable[[dict[str, float]], str]
 """Function that sends set points to a source and returns its line."""
@@ -99,15 +99,8 @@ def measure(
     """
     mechanism, path = pincal.load_mechanism(mech), session / "plan.csv"
     groups = session_options, options, noise
-    with (
-        working("looking at the poses"),
-        _remembered(session, mechanism, *groups) as (
-            journal,
-            session_options,
-            options,
-            noise,
-        ),
-    ):
+    with working("looking at the poses"), _remembered(session, mechanism, *groups) as remembered:
+        journal, session_options, options, noise = remembered
         setup = options.read_setup()
         if not path.is_file():
             if source.plan is None:
@@ -276,6 +269,8 @@ def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Loc
         if (session.questioned or session.doubtful) and not attended:
             _settle(session, keep=off > 1)
         elif ask and session.finished:
+            if session.missing:
+                fail(1, "no pose of the plan is left, but the accuracy is not reached")
             break
         elif session.questioned and on_page:
             time.sleep(_WAIT)
@@ -284,8 +279,6 @@ def _measure(session: Session, ask: Ask | None, source: SourceOptions, lock: Loc
             with lock:
                 _take(session, line, row, source.pattern, strict=ask is not None)
             off = off + 1 if session.questioned else 0
-    if ask and session.options.accuracy and not session.enough:
-        fail(1, "no pose of the plan is left, but the accuracy is not reached")
     if on_page:
         Event().wait()
 
@@ -314,6 +307,8 @@ def _take(session: Session, line: str, row: int, pattern: str | None, *, strict:
     match line.split():
         case ["q"]:
             raise EOFError
+        case ["h" | "?" | "help"]:
+            say(_HELP)
         case ["p"]:
             stdout.print(session.result.tables()[0] if session.result else "nothing is known yet")
         case [_, *_]:

@@ -53,6 +53,7 @@ def progress(session: Session) -> list[str]:
     else:
         share = f" over {percent(session.share)} of the workspace" * (session.share < 0.995)
         limit = f"95 %: below {amount(error.limit[0], 'm')}"
+        limit = limit if np.isfinite(error.limit[0]) else "no 95 % limit yet"
         lines = [f"{count}: expected error {amount(error.position, 'm')}, {limit}{share}"]
     if session.result is not None and not session.result.explained:
         lines.append(
@@ -65,10 +66,12 @@ def progress(session: Session) -> list[str]:
             f"row {row + 1} is {sigma:.1f} σ off the prediction by all others: undo (u {row + 1})?"
         )
     if session.enough:
-        lines += [f"enough: {amount(accuracy or 0.0, 'm')} reached", session.options.following]
-    elif accuracy is not None and error is not None and error.limit[0] <= accuracy:
+        lines.append(f"enough: {amount(accuracy or 0.0, 'm')} reached")
+    elif accuracy is None or error is None or not np.isfinite(error.limit[0]):
+        pass  # a forecast would not be of the error that is stated
+    elif error.limit[0] <= accuracy:
         lines.append("the next pose widens the measured region, outside of which nothing is stated")
-    elif accuracy is not None:
+    else:
         lines.append(f"about {counted(session.missing, 'more pose')} for {amount(accuracy, 'm')}")
     return [line for line in lines if line]
 
@@ -90,7 +93,7 @@ def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str,
     elif line.startswith("{"):
         try:
             return {name: str(value) for name, value in json.loads(line).items()}
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise MeasurementError(f"{line!r} is no JSON: {error}") from error
     else:
         parts = re.split(r"\s*[;\s]\s*", line)  # a comma may then be a decimal point
@@ -99,9 +102,10 @@ def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str,
     for columns in (session.observed, session.columns):
         if len(cells) == len(columns):
             return dict(zip(columns, cells, strict=True))
+    both = session.observed != session.columns
+    further = f", or all of {', '.join(session.columns)}" * both
     raise MeasurementError(
-        f"{len(cells)} numbers; expected {', '.join(session.observed)}, or all of "
-        f"{', '.join(session.columns)}"
+        f"{line!r} is neither {', '.join(session.observed)}{further}, nor u, k, s, r, p, q or help"
     )
 
 
@@ -130,12 +134,13 @@ def obeyed(session: Session, line: str, row: int, pattern: str | None = None) ->
 
 def responding(session: Session, pattern: str | None, lock: Lock) -> Respond:
     """Return the handler of requests by the session's page; the lock guards the session."""
+    rows = range(len(session.plan))
 
     def respond(path: str, query: Mapping[str, str], posted: str) -> tuple[str, str | bytes] | None:
         if path == "/":
             return "text/html", rendered("measure.html", title=session.mechanism.name)
         if path == "/picture":
-            pose = session.plan.rows(np.array([int(query["row"])]))
+            pose = session.plan.rows(np.array([rows.index(int(query["row"]))]))
             return "image/svg+xml", figure_bytes(picture(session.mechanism, pose).figure(), "svg")
         if path != "/state":
             return None
@@ -143,7 +148,8 @@ def responding(session: Session, pattern: str | None, lock: Lock) -> Respond:
         with lock:
             if posted and (order := json.loads(posted))["version"] == version(session):
                 try:
-                    obeyed(session, order["line"], order["row"], pattern)
+                    line, row = str.strip(order["line"]), rows.index(order["row"])
+                    obeyed(session, line, row, pattern)
                 except (MeasurementError, FileError) as error:
                     trouble = str(error)
             elif posted:
@@ -181,7 +187,7 @@ def state(session: Session) -> dict[str, Any]:
         "off": session.questioned,
         "version": version(session),
         "verdict": "" if session.checked is None else verdict_on_row(session.checked),
-        "progress": progress(session),
+        "progress": [*progress(session), *[session.options.following] * session.enough],
         "enough": session.enough,
         "doubtful": session.doubtful[0] + 1 if session.doubtful else 0,
         "course": [1e3 * limit for limit in session.candidates.limits(session.measured)],

@@ -124,7 +124,7 @@ def view(
 
 Respond = Callable[[str, Mapping[str, str], str], tuple[str, str | bytes] | None]
 """Function of path, query and posted text (empty if none) that returns content type and content,
-None for an unknown path. It raises ValueError, KeyError or TypeError for a faulty request."""
+None for an unknown path. For a faulty request it raises ValueError, LookupError or TypeError."""
 
 
 def responding(scene: Scene, text: str) -> Respond:
@@ -210,7 +210,7 @@ class PageServer:
             return HTTPStatus.FORBIDDEN, "text/plain", b"not from another's page"
         try:
             answered = self._respond(address.path, dict(parse_qsl(address.query)), posted)
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, LookupError, TypeError, RecursionError):
             return HTTPStatus.BAD_REQUEST, "text/plain", b"not what this page asks for"
         if answered is None:
             return HTTPStatus.NOT_FOUND, "text/plain", b"no such page"
