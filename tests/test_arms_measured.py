@@ -282,6 +282,7 @@ def test_a_planar_arm() -> None:
     ("tip", "base", "words"),
     [
         ("nothing", None, "no frame named 'nothing'"),
+        ("tool", None, "it has tool0, "),
         ("ee_link", "nothing", "no frame named 'nothing'"),
         ("base_link", "ee_link", "no chain of joints leads from 'ee_link'"),
         ("base_link", None, "no joint moves"),

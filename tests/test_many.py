@@ -84,6 +84,9 @@ def test_what_is_wrong_with_a_file_is_said_of_it(tmp_path: Path) -> None:
         assert (
             outcome.trouble == f"pincal: cannot read {tmp_path / 'no'}: No such file or directory"
         )
+    (tmp_path / "line" / "rows.csv").write_text("x [mm]\n1\n", encoding="utf-8")
+    refused = run("calibrate", "5R", tmp_path / "line", "-o", tmp_path / "result").trouble
+    assert f"name a table in it, such as {tmp_path / 'line' / 'rows.csv'}" in refused
     absent = run("montecarlo", "5R", tmp_path / "plan.csv", "-o", tmp_path / "t.csv")
     assert absent.code == 2
     assert "calibrating" not in absent.err

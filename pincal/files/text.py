@@ -79,6 +79,8 @@ def read_bytes(
         status = path.stat()
         if not (pipe or stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
             raise FileError(f"cannot read {path}: a device or a pipe; name a file")
+        if tables := sorted(path.glob("*.csv")):
+            raise FileError(f"{path} is a folder; name a table in it, such as {tables[-1]}")
         data = bytearray()
         if status.st_size <= largest:
             if (inputs := _inputs.get()) is not None:

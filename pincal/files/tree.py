@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -82,8 +83,9 @@ class Tree:
         for edge in self.edges:
             if edge.joint.name == name:
                 return edge.child
+        nearest = get_close_matches(name, self.links, len(self.links), 0.0)
         raise MechanismError(
-            f"{self.source}: no frame named {name!r} for {purpose}; it has {listed(self.links)}"
+            f"{self.source}: no frame named {name!r} for {purpose}; it has {listed(nearest)}"
         )
 
     def check_joints(self, names: Iterable[str]) -> None:

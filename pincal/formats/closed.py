@@ -6,6 +6,7 @@ leg keeps the displacements that its closure can distinguish (``independent``) a
 
 from __future__ import annotations
 
+import logging
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -30,6 +31,7 @@ from pincal.model.placement import placement_of
 from pincal.model.platform import Platform
 from pincal.types import Array
 
+_log = logging.getLogger(__name__)
 _WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
 _NUMBERS = 10  # numbers along a leg whose digits may be cut: two across each of five joints
 
@@ -85,7 +87,10 @@ def closed_mechanism(
         platform = platform or tree.platform
         if platform is not None:
             platform = tree.link(platform, "the platform")
+        asked = platform
         limbs, platform, loose = limbs_of(tree, platform)
+        if platform and not asked:
+            _log.info("the link %r is the platform; name another by --platform or --tip", platform)
         driven = " (driven)" if set(tree.active) & set(loose) else ""
         remarks = [f"{listed(loose)}: in no loop with the platform, left out{driven}"] * bool(loose)
         normal = plane_of(tree, [step for limb in limbs for step in limb.steps])

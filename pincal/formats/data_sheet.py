@@ -242,8 +242,8 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
     usual, largest = 1e3 * np.quantile(missed, 0.95), 1e3 * missed.max()
     lines = [
         f"# {kind} of {mechanism.name} [mm]: INI [KINS] JOINTS = 3, KINEMATICS = {kind}",
-        f"# these parameters are all that {kind} holds: it misses poses by {usual:.4f} mm (95 %), "
-        f"{largest:.4f} mm at most",
+        f"# these parameters are all that {kind} holds: it misses {len(poses)} poses by "
+        f"{usual:.2g} mm (95 %), {largest:.4f} mm at most",
         *(f"setp {kind}.{name} {1e3 * value:.9f}" for name, value in values.items()),
     ]
     for joint, leg in enumerate(legs):
