@@ -15,8 +15,8 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_905,
-    "cli": 2_717,
+    "calibration": 6_910,
+    "cli": 2_719,
     "design": 2_372,
     "estimation": 4_623,
     "files": 3_398,

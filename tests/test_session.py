@@ -32,7 +32,7 @@ from pincal.cli.measure import _appended
 from pincal.design.simulate import SimulatedMachine
 from pincal.files.columns import columns_of
 from pincal.files.journal import Journal
-from pincal.show.measuring import verdict_on_row
+from pincal.show.measuring import progress, verdict_on_row
 
 ACCURACY = 5e-5
 
@@ -170,6 +170,7 @@ def test_slip_of_ten_sigma_is_off_and_can_be_kept(begun: Session) -> None:
         assert begun.doubtful is not None
         assert begun.doubtful[0] == checked.row
         assert begun.doubtful[1] == pytest.approx(checked.sigma, rel=0.02)
+        assert "no 95 % limit yet" in progress(begun)[0]
         begun.undo()
     assert begun.doubtful is None
 
@@ -487,7 +488,8 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     resumed = done(*command, "--accuracy", "0.2mm")
     assert "there is no row '0'; the last is row 2" in resumed.err
     assert "there is no pose '99'; the last is pose " in resumed.err
-    assert "1 pose: not all parameters are determined yet" in resumed.out
+    assert resumed.out.startswith("row 2 is recorded: ")
+    assert " 1 pose: not all parameters are determined yet" in resumed.out
     assert "more pose" not in resumed.out  # a forecast would say nothing yet
     assert "warning: --accuracy was 0.0001 so far and is now 0.0002" in resumed.err
     assert "noise" not in resumed.err

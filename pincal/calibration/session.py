@@ -223,13 +223,18 @@ class Session:
         return int(outside.argmax()) if outside.max() > 1.0 else None
 
     @property
+    def limit(self) -> float:
+        """The 95 % limit of the stated error, [m]; infinite if none, or if a row contradicts it."""
+        contradicted = self.doubtful is not None and not self.enough
+        return np.inf if self.error is None or contradicted else self.error.limit[0]
+
+    @property
     def missing(self) -> int:
         """Forecast number of further poses until the wanted accuracy; 0 if it is enough."""
         if self.options.accuracy is None or self.enough:
             return 0
         expected = self.candidates.limit(*self.measured)
-        limit = np.inf if self.error is None else self.error.limit[0]
-        goal = self.options.accuracy * (expected / limit if np.isfinite(limit) else 1.0)
+        goal = self.options.accuracy * (expected / self.limit if np.isfinite(self.limit) else 1.0)
         limits, levels = np.array(self.forecast), np.array([expected, goal])
         beyond = len(limits) * (limits[-1] / levels) ** 2
         reached = np.searchsorted(-limits, -levels)  # both decrease

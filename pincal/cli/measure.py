@@ -35,7 +35,7 @@ from pincal.files.journal import Journal
 from pincal.files.measurements import read_poses
 from pincal.files.table import write_table
 from pincal.option import option
-from pincal.show.measuring import obeyed, progress, responding, set_points
+from pincal.show.measuring import obeyed, progress, responding, set_points, verdict_on_row
 from pincal.show.view.view import PageServer
 from pincal.words.numbers import percent
 
@@ -127,6 +127,8 @@ def measure(
         )
         opened = Session(journal, mechanism, read_poses(path, mechanism, setup=setup), asked)
     lock, server = Lock(), None
+    if opened.checked:
+        say(verdict_on_row(opened.checked), *progress(opened))
     try:
         if not source.terminal:
             server = PageServer(responding(opened, source.pattern, lock))

@@ -52,8 +52,8 @@ def progress(session: Session) -> list[str]:
         lines = [f"{count}: not all parameters are determined yet", session.why]
     else:
         share = f" over {percent(session.share)} of the workspace" * (session.share < 0.995)
-        limit = f"95 %: below {amount(error.limit[0], 'm')}"
-        limit = limit if np.isfinite(error.limit[0]) else "no 95 % limit yet"
+        below = f"95 %: below {amount(session.limit, 'm')}"
+        limit = below if np.isfinite(session.limit) else "no 95 % limit yet"
         lines = [f"{count}: expected error {amount(error.position, 'm')}, {limit}{share}"]
     if session.result is not None and not session.result.explained:
         lines.append(
@@ -67,9 +67,9 @@ def progress(session: Session) -> list[str]:
         )
     if session.enough:
         lines.append(f"enough: {amount(accuracy or 0.0, 'm')} reached")
-    elif accuracy is None or error is None or not np.isfinite(error.limit[0]):
+    elif accuracy is None or not np.isfinite(session.limit):
         pass  # a forecast would not be of the error that is stated
-    elif error.limit[0] <= accuracy:
+    elif session.limit <= accuracy:
         lines.append("the next pose widens the measured region, outside of which nothing is stated")
     else:
         lines.append(f"about {counted(session.missing, 'more pose')} for {amount(accuracy, 'm')}")
