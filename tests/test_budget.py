@@ -16,7 +16,7 @@ LINES = {
     "": 268,
     "architectures": 625,
     "calibration": 6_910,
-    "cli": 2_719,
+    "cli": 2_720,
     "design": 2_372,
     "estimation": 4_623,
     "files": 3_398,

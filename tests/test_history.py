@@ -132,6 +132,7 @@ def test_history_is_a_verdict_and_a_page(first: pincal.CalibrationResult, tmp_pa
     assert outcome.code == 1
     assert "leg_2.l moved by +" in outcome.out
     assert "between 2026-05 and 2026-06" in outcome.out
+    assert "next: find what moved, then pincal deploy" in outcome.out
     text = page.read_text(encoding="utf-8")
     assert "leg_2.l moved by +" in text
     assert "http" not in text.partition("<main>")[2]

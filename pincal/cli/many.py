@@ -196,7 +196,8 @@ def history(
     say(*page.lines)
     if output is not None:
         wrote(page.save(output, force=force))
-    step = "pincal deploy RESULT -o controller" if output else f"{typed()} -o HISTORY.html"
-    say(f"next: {step}")
-    if any(page.history.changes):
+    cause = "find what moved, then " * (changed := any(page.history.changes))
+    use = f"{cause}pincal deploy RESULT -o controller"
+    say(f"next: {use if output else f'{typed()} -o HISTORY.html'}")
+    if changed:
         fail(1, "exit code 1, since the machine changed")
