@@ -17,7 +17,7 @@ LINES = {
     "architectures": 625,
     "calibration": 6_910,
     "cli": 2_720,
-    "design": 2_372,
+    "design": 2_373,
     "estimation": 4_623,
     "files": 3_398,
     "formats": 3_489,

@@ -194,12 +194,13 @@ def _candidates(
     if choice.candidates is None and 0 < _FEW * len(within) < total:
         offered = sampled(mechanism, setup, 2 * _FEW * count, choice.seed, margins)
         within = offered.rows(choice.allow(mechanism, offered, setup))
-    limits = choice.within(mechanism, offered, setup)
-    for words, allowed in limits.items():
-        if allowed.all() and words.startswith("--box"):
+    for words, allowed in Limits(choice.box).within(mechanism, offered, setup).items():
+        if allowed.all():
             _log.info("nothing is left out by %s (numbers without a unit: in m or rad)", words)
     if not len(within):
-        lost = [f"{(~allowed).sum()} are left out by {words}" for words, allowed in limits.items()]
+        limits = choice.within(mechanism, offered, setup).items()
+        outside = [(words, (~allowed).sum()) for words, allowed in limits]
+        lost = [f"{count} are left out by {words}" for words, count in outside if count]
         raise WorkspaceError(
             f"none of {len(offered)} candidates is within the limits: {'; '.join(lost)}"
         )
