@@ -22,7 +22,7 @@ LINES = {
     "files": 3_398,
     "formats": 3_489,
     "instruments": 1_546,
-    "kinematics": 3_420,
+    "kinematics": 3_428,
     "model": 3_557,
     "show": 4_198,
     "symmetry": 1_372,

@@ -49,7 +49,11 @@ class SingularityMargins:
 
 
 def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
-    """Return the distances of N poses from both types of singularity.
+    """Return the distances of poses from both types of singularity.
+
+    Args:
+        mechanism: The mechanism; or its name or folder.
+        poses: N poses, coordinates of shape (N, dof), [m] and [rad].
 
     Raises:
         MechanismError: poses have a wrong shape, or are not finite.
@@ -162,6 +166,10 @@ def tensions(mechanism: GivenMechanism, poses: Poses) -> Array:
 
     NaN where cables cannot hold the platform, or do not reach. The weight is that of
     ``Mechanism.load``.
+
+    Args:
+        mechanism: The mechanism; or its name or folder.
+        poses: N poses, coordinates of shape (N, dof), [m] and [rad].
 
     Raises:
         MechanismError: it is not a cable robot, or poses have a wrong shape or are not finite.
