@@ -15,9 +15,9 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 268,
     "architectures": 625,
-    "calibration": 6_910,
+    "calibration": 6_914,
     "cli": 2_720,
-    "design": 2_373,
+    "design": 2_378,
     "estimation": 4_623,
     "files": 3_398,
     "formats": 3_489,

@@ -396,7 +396,7 @@ def test_deltas_are_those_that_linuxcnc_has_kinematics_for(name: str, tmp_path: 
             np.testing.assert_allclose(readings / unit, exact / unit, atol=1e-6)
         missed = np.linalg.norm(pincal.forward(robot, readings).poses - poses, axis=1)
         (most,) = re.findall(r"(\S+) mm at most", text)
-        np.testing.assert_allclose(1e3 * missed.max(), float(most), atol=1e-4)
+        np.testing.assert_allclose(1e3 * missed.max(), float(most), rtol=5e-3, atol=1e-4)
         assert f"misses {len(poses)} poses" in text
     pincal.deploy(drawn, tmp_path / "controller")
     written = (tmp_path / "controller" / "linuxcnc.hal").read_text()

@@ -478,7 +478,7 @@ def test_unknown_mechanism_names_the_bundled_ones(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="absent"):
         pincal.load_mechanism(tmp_path / "absent")
     (tmp_path / "robot.urdf").write_text("<robot name='r'/>")
-    with pytest.raises(FileError, match=r"pincal import robot\.urdf -o MECH"):
+    with pytest.raises(FileError, match=r"pincal import .*robot\.urdf -o MECH"):
         pincal.load_mechanism(tmp_path / "robot.urdf")
 
 

@@ -110,6 +110,17 @@ def test_a_jump_is_no_drift(first: pincal.CalibrationResult) -> None:
     assert history.drift[0] < 2.0 * history.drift[1]
 
 
+def test_what_drifts_after_a_jump_has_a_trend() -> None:
+    """Every later calibration differs from the one before it, but none of them is another jump."""
+    moved = [0.0, *(1e-3 + 3e-4 * month for month in range(1, 6))]
+    results = tuple(calibrated(20 + i, gamma=gamma) for i, gamma in enumerate(moved))
+    dates = tuple(date(2026, month, 1) for month in range(1, 7))
+    history = History(tuple(day.isoformat() for day in dates), dates, results)
+    assert history.since_jump.dates == dates[1:]
+    assert history.drift is not None
+    assert history.drift[0] > 2.0 * history.drift[1]
+
+
 @pytest.mark.slow
 def test_history_is_a_verdict_and_a_page(first: pincal.CalibrationResult, tmp_path: Path) -> None:
     """Verdict first, the change named with its dates, and a page that needs nothing else."""

@@ -89,7 +89,7 @@ def test_two_windows_lose_nothing(server: PageServer, session: Session, bench: B
     wrong = {**order, "version": second["version"], "line": "1 2 3 4 5 6 7"}
     refused = json.loads(asked(server.url, "/state", wrong)[1])
     assert refused["count"] == 11
-    assert refused["trouble"].startswith("'1 2 3 4 5 6 7' is neither x [mm], y [mm]")
+    assert refused["trouble"].startswith("'1 2 3 4 5 6 7' is no row: expected x [mm], y [mm]")
 
 
 @pytest.mark.slow

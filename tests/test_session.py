@@ -431,7 +431,7 @@ def test_followed_file_may_begin_anew(tmp_path: Path, capsys: pytest.CaptureFixt
     """Truncated or replaced, a log is read from its beginning; half a line waits for its end."""
     log = tmp_path / "log"
     log.write_text("old\n" * 100)
-    lines = _appended(log)
+    lines = _appended(log, log.stat().st_size)
 
     def written(texts: list[str]) -> None:
         for text in texts:
@@ -471,7 +471,7 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     outcome = done(*command, "--plan", "plan.csv", *noise)
     assert "row 1 is recorded: " in outcome.out
     assert "3 rows in" not in outcome.out
-    assert "'1 2' is neither x [mm], y [mm], phi [deg], or all of x [mm], " in outcome.err
+    assert "'1 2' is no row: expected x [mm], y [mm], phi [deg], or all of x [mm], " in outcome.err
     assert outcome.out.count("u: undo the last row") == 2
     assert outcome.err.count(" is no JSON: ") == 1
     assert "2 rows in s/rows.csv" in outcome.out
@@ -513,7 +513,7 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     assert "s is a session of '3RRR', and '3RRR' has other parameters" in refused.err
     refused = run(*command, "--units", "m,rad")
     assert refused.code == 2
-    assert "rows.csv has other columns than it should" in refused.err
+    assert "rows.csv has other columns" in refused.err
     monkeypatch.setattr(sys, "stdin", io.StringIO(machine.line(columns[:3], 4) + "\nq\n"))
     with full_disk(Path("s/rows.csv")):
         outcome = done(*command)

@@ -125,9 +125,9 @@ def fitted(
 ) -> Fits:
     """Return the fits of a calibration, the noise estimated by group if it was not given.
 
-    A search of all legs at once begins ``near`` fits, if given; if these have more rows or fewer
-    terms, ``rows``, shape (N,), says which rows of theirs these are. It ends after so many
-    evaluations as ``patience`` says, by default the usual number.
+    The search of all legs at once begins at the fits ``near``. If they have more rows or fewer
+    terms, the mask ``rows``, shape (N,), selects their rows that are fitted here. ``patience`` is
+    the largest number of evaluations, by default the usual one.
     """
     latent = calibration.options.latent
     fits = _all_legs(calibration, near, rows, patience) if latent else _legs_alone(calibration)

@@ -65,19 +65,22 @@ class History:
 
     @cached_property
     def since_jump(self) -> History:
-        """The calibrations since the last change that is no drift: a line does not explain it."""
+        """The calibrations since the last jump: a straight line explains the changes since then."""
+        starts = [i for i, changed in enumerate(self.changes, 1) if changed]
+        later = [History(self.names[i:], self.dates[i:], self.results[i:]) for i in starts]
+        return next((part for part in (self, *later) if part._straight), [self, *later][-1])
+
+    @property
+    def _straight(self) -> bool:
+        """Whether a straight line in time explains all changes of parameters."""
         days, values = self._centred_days, self.values
-        first = max((i for i, changed in enumerate(self.changes, 1) if changed), default=0)
-        if not first or not days.any():
-            return self
+        if len(days) <= 2 or not days.any():
+            return True
         covariance = np.mean([result.covariance for result in self.results], axis=0)
         white = _whitening(self.results[-1].nominal, covariance)
         line = np.column_stack((np.ones(len(days)), days))
         apart = (values - line @ np.linalg.lstsq(line, values, rcond=None)[0]) @ white.T
-        freedoms = (len(days) - 2) * len(white)
-        if not freedoms or chdtrc(freedoms, (apart**2).sum()) >= _ALARM:
-            return self
-        return History(self.names[first:], self.dates[first:], self.results[first:])
+        return bool(chdtrc((len(days) - 2) * len(white), (apart**2).sum()) >= _ALARM)
 
     @property
     def _centred_days(self) -> Array:

@@ -431,7 +431,8 @@ def place_of(noun: str, number: str, count: int) -> int:
     """
     if number.isdecimal() and len(number) <= len(str(count)) and 0 < int(number) <= count:
         return int(number) - 1
-    raise MeasurementError(f"there is no {noun} {number!r}; the last is {noun} {count}")
+    last = f"the last is {noun} {count}" if count else "nothing is recorded yet"
+    raise MeasurementError(f"there is no {noun} {number!r}; {last}")
 
 
 def _squares(r: Array, S: Array) -> Array:

@@ -75,9 +75,8 @@ _LONGEST = 1300  # characters
 _REMIND = 30.0  # seconds between progress lines without a spinner
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # nobody needs its remarks on font caches
 _typed: list[str] = []
-_TypedWrong: type[Exception] = typer.BadParameter.__mro__[
-    2
-]  # click's own; typer may bring a copy of click
+#: The error of options typed wrong, of click or of the copy that typer may bring.
+_TypedWrong: type[Exception] = typer.BadParameter.__mro__[2]
 _NAMED = inspect.Parameter.KEYWORD_ONLY
 
 

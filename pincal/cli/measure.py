@@ -209,7 +209,7 @@ def _source(options: SourceOptions) -> Iterator[Ask | None]:
         raise typer.BadParameter(f"--tcp {options.tcp}: expected HOST:PORT")
     with explaining(str(options.follow or options.tcp)):
         if options.follow is not None:
-            lines = _appended(options.follow)
+            lines = _appended(options.follow, options.follow.stat().st_size)
             yield lambda _: next(lines)
         elif options.tcp is not None:
             with socket.create_connection((host, int(port)), _PATIENCE) as line:
@@ -221,14 +221,15 @@ def _source(options: SourceOptions) -> Iterator[Ask | None]:
             yield None
 
 
-def _appended(path: Path) -> Iterator[str]:
-    """Yield the lines by which a file grows, and all lines whenever it begins anew."""
-    whence = os.SEEK_END
+def _appended(path: Path, start: int) -> Iterator[str]:
+    """Yield the lines by which a file grows from its start, and all lines when it begins anew."""
     while True:
         with path.open("rb") as file:
-            file.seek(0, whence)
+            file.seek(start)
             line, before = b"", os.fstat(file.fileno())
-            while os.path.samestat(before, now := path.stat()) and now.st_size >= file.tell():
+            while not path.exists() or (  # logs are renamed, then made again
+                os.path.samestat(before, now := path.stat()) and now.st_size >= file.tell()
+            ):
                 line = line.lstrip() + file.readline()
                 if not line.endswith(b"\n"):
                     time.sleep(_WAIT)
@@ -236,7 +237,7 @@ def _appended(path: Path) -> Iterator[str]:
                     yield line.decode(errors="replace")
                     line = b""
         warn(f"{path} begins anew, and is read from its beginning")
-        whence = os.SEEK_SET
+        start = 0
 
 
 def _answer(stream: TextIO, points: dict[str, float]) -> str:
@@ -301,7 +302,7 @@ def _asked(session: Session, ask: Ask | None, off: int) -> tuple[int, str]:
 
 
 def _take(session: Session, line: str, row: int, pattern: str | None, *, strict: bool) -> None:
-    """Execute a line; a faulty line is a warning, or ends the command if ``strict``.
+    """Execute a line; a faulty one is a warning, or ends the command if a source sent it.
 
     Raises:
         EOFError: the line says to quit.
@@ -317,7 +318,7 @@ def _take(session: Session, line: str, row: int, pattern: str | None, *, strict:
             try:
                 say(*obeyed(session, line, row, pattern))
             except (MeasurementError, FileError) as error:
-                if strict:
+                if strict and not session.questioned:  # then it was typed
                     raise
                 warn(str(error))
 

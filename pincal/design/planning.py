@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.design.orbits import selection_group
+from pincal.design.orbits import merged, selection_group
 from pincal.design.order import in_rounds, with_distances, with_verification
 from pincal.design.select import Goal, Protocol, Selection, select_configurations, select_poses
 from pincal.errors import MeasurementError, SymmetryError, WorkspaceError
@@ -169,15 +169,18 @@ def _of_legs(
             protocol = "independent"
     given = mechanism, offered.poses, choice.count
     selection = select_poses(*given, protocol or "symmetric", **search)
-    if choice.allow(mechanism, selection.plan, Setup()).all():
-        return selection
-    if protocol is not None:
-        raise MeasurementError(
-            f"--protocol {protocol} maps poses out of the limits; leave it out, or choose limits "
-            "with the mechanism's symmetry"
-        )
-    _log.info("independent selection: the limits do not have the mechanism's symmetry")
-    return select_poses(*given, "independent", **search)
+    if not choice.allow(mechanism, selection.plan, Setup()).all():
+        if protocol is not None:
+            raise MeasurementError(
+                f"--protocol {protocol} maps poses out of the limits; leave it out, or choose "
+                "limits with the mechanism's symmetry"
+            )
+        _log.info("independent selection: the limits do not have the mechanism's symmetry")
+        selection = select_poses(*given, "independent", **search)
+    if selection.protocol == "independent":  # a pose that several legs need is driven to once
+        plan = merged(mechanism, selection.plan.poses, selection.plan.sets or ())
+        return replace(selection, plan=plan, count=len(plan))
+    return selection
 
 
 def _candidates(

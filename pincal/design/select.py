@@ -314,7 +314,9 @@ def _leg_by_leg(
             efficiency = continuous_design(offered).efficiency(value, len(chosen))
         efficiencies.append(efficiency)
     legs, every = np.repeat(list(carried), search.count).tolist(), np.concatenate(poses)
-    return merged(search.mechanism, every, legs), efficiencies
+    unmapped = all(element.is_identity for _, element, _ in carried.values())
+    plan = Plan(every, tuple(legs)) if unmapped else merged(search.mechanism, every, legs)
+    return plan, efficiencies
 
 
 @one_thread()

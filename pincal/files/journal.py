@@ -49,7 +49,7 @@ class RowFile:
                 for part in sorted(self.path.glob("part-*")):
                     table = extra("pyarrow.parquet").read_table(part).to_pydict()
                     if list(table) != self.columns:
-                        raise ValueError("other columns than it should have")
+                        raise ValueError(f"{part} has other columns")
                     lines += zip(*table.values(), strict=True)
             elif self.path:
                 lines += read_lines(self.path, self.columns)
@@ -135,8 +135,8 @@ class Journal:
             FileError: the table has other columns, or cannot be read or written.
         """
         self.columns = list(columns)
-        stays = "where what is measured, and in which units, stays as it was"
-        with explaining(f"cannot go on in {self.folder}, {stays}", ValueError):
+        remedy = "leave out options of quantities and units, correct its rows, or name another"
+        with explaining(f"cannot go on in {self.folder} ({remedy})", ValueError):
             self.rows = read_lines(self.path, self.columns)
             append_lines(self.path, self.columns, [])
 
@@ -202,8 +202,8 @@ def read_lines(path: Path, columns: Sequence[str]) -> list[list[str]]:
     text = head if head.startswith(data) else data[:end] or data
     reader = csv.reader(io.StringIO(text.decode("utf-8-sig")))
     try:
-        if next(reader) != [*columns]:
-            raise ValueError(f"{path} has other columns than it should")
+        if next(reader, []) != [*columns]:
+            raise ValueError(f"{path} has other columns")
         lines = [(reader.line_num, line) for line in reader if line]
     except csv.Error as error:
         raise ValueError(f"{path}, line {reader.line_num}: {error}") from error

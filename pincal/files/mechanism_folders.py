@@ -66,7 +66,7 @@ def _folder(name_or_path: str | Path) -> Path:
         if folder.suffix.lower() in (".urdf", ".xml", ".cfg", ".g", ".yaml"):
             raise FileError(
                 f"{name}: a mechanism is a folder; give the folder of mechanism.yaml, or import a "
-                f"robot's file first (pincal import {folder.name} -o MECH; an arm: --tip LINK)"
+                f"robot's file first (pincal import {name} -o MECH; an arm: --tip LINK)"
             )
         known = {mechanism.lower(): mechanism for mechanism in folders}
         nearest = get_close_matches(name.lower(), known, 1)

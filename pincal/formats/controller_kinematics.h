@@ -87,7 +87,7 @@ static inline int machine_rigid(const double *T) {
     double x[3], z[3], off = fabs(machine_dot(T, T) - 1.0);
     machine_cross(T, T + 4, z); machine_cross(T + 4, T + 8, x);
     for (int i = 0; i < 3; i++) off = machine_larger(off, machine_larger(fabs(x[i] - T[i]), fabs(z[i] - T[8 + i])));
-    return off <= 1e-5 && machine_bounded(T, 12);
+    return off <= 1e-3 && machine_bounded(T, 12);
 }
 
 static inline void machine_copy(const double *from, double *to, int n) { for (int i = 0; i < n; i++) to[i] = from[i]; }

@@ -27,7 +27,7 @@ SMALL = 1e-10  # step after which the remaining error is rounding
 CLOSED = 1e-10  # largest gap of a closed leg, over its size
 DAMPING = 1e-6  # over the largest entry, where joints are more than rows
 BOUND = 1e12  # largest size of an argument
-ROUNDED = 1e-5  # largest error of a rotation
+ROUNDED = 1e-3  # largest error of a rotation whose numbers have few digits
 UNSOUND = "arguments are not finite numbers up to 1e12, or the pose is no rigid transform"
 
 

@@ -19,7 +19,7 @@ from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.types import Array
-from pincal.words.numbers import SI, UNITS, Units
+from pincal.words.numbers import SI, UNITS, Units, amount
 
 _ZERO = "length at reading 0"  # of struts and cables only
 _STEP = 1e-6  # step of parameters for central differences, [m] or [rad]
@@ -239,11 +239,11 @@ def deltakins(mechanism: Mechanism, poses: Array) -> str:
         unit, scale = "deg", np.degrees(1.0)
     c, s = np.cos(turn), np.sin(turn)
     origin = -1e3 * np.array([c * x + s * y, c * y - s * x, z * turning])
-    usual, largest = 1e3 * np.quantile(missed, 0.95), 1e3 * missed.max()
+    usual, largest = amount(np.quantile(missed, 0.95), "m"), amount(missed.max(), "m")
     lines = [
         f"# {kind} of {mechanism.name} [mm]: INI [KINS] JOINTS = 3, KINEMATICS = {kind}",
         f"# these parameters are all that {kind} holds: it misses {len(poses)} poses by "
-        f"{usual:.2g} mm (95 %), {largest:.4f} mm at most",
+        f"{usual} (95 %), {largest} at most",
         *(f"setp {kind}.{name} {1e3 * value:.9f}" for name, value in values.items()),
     ]
     for joint, leg in enumerate(legs):

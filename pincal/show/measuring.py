@@ -41,7 +41,7 @@ def verdict_on_row(checked: Checked) -> str:
     if np.isfinite(checked.sigma):
         far = f"{checked.sigma:.3g} σ off, most in the {checked.quantity}"
     likely = f": likely {causes(checked.causes)}" if checked.causes else ""
-    return f"{row} is recorded, but {far}{likely}. Measure it again (undo), or keep it?"
+    return f"{row} is recorded, but {far}{likely}. Enter it again, undo it, or keep it?"
 
 
 def progress(session: Session) -> list[str]:
@@ -63,7 +63,7 @@ def progress(session: Session) -> list[str]:
     if session.doubtful is not None:
         row, sigma = session.doubtful
         lines.append(
-            f"row {row + 1} is {sigma:.1f} σ off the prediction by all others: undo (u {row + 1})?"
+            f"row {row + 1} is {sigma:.3g} σ off the prediction by all others: undo (u {row + 1})?"
         )
     if session.enough:
         lines.append(f"enough: {amount(accuracy or 0.0, 'm')} reached")
@@ -105,7 +105,7 @@ def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str,
     both = session.observed != session.columns
     further = f", or all of {', '.join(session.columns)}" * both
     raise MeasurementError(
-        f"{line!r} is neither {', '.join(session.observed)}{further}, nor u, k, s, r, p, q or help"
+        f"{line!r} is no row: expected {', '.join(session.observed)}{further}; or u, k, s, r"
     )
 
 
