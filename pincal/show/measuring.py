@@ -41,7 +41,7 @@ def verdict_on_row(checked: Checked) -> str:
     if np.isfinite(checked.sigma):
         far = f"{checked.sigma:.3g} σ off, most in the {checked.quantity}"
     likely = f": likely {causes(checked.causes)}" if checked.causes else ""
-    return f"{row} is recorded, but {far}{likely}. Enter it again, undo it, or keep it?"
+    return f"{row} is recorded, but {far}{likely}. Measure it again, or keep it?"
 
 
 def progress(session: Session) -> list[str]:
