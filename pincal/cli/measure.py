@@ -19,7 +19,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from threading import Event, Lock
-from typing import Annotated, Any, TextIO, get_args
+from typing import Annotated, Any, BinaryIO, TextIO, get_args
 
 import typer
 
@@ -226,10 +226,8 @@ def _appended(path: Path, start: int) -> Iterator[str]:
     while True:
         with path.open("rb") as file:
             file.seek(start)
-            line, before = b"", os.fstat(file.fileno())
-            while not path.exists() or (  # logs are renamed, then made again
-                os.path.samestat(before, now := path.stat()) and now.st_size >= file.tell()
-            ):
+            line = b""
+            while not _replaced(path, file):
                 line = line.lstrip() + file.readline()
                 if not line.endswith(b"\n"):
                     time.sleep(_WAIT)
@@ -238,6 +236,15 @@ def _appended(path: Path, start: int) -> Iterator[str]:
                     line = b""
         warn(f"{path} begins anew, and is read from its beginning")
         start = 0
+
+
+def _replaced(path: Path, file: BinaryIO) -> bool:
+    """Return whether a path is another file than the open one, or shorter than what was read."""
+    try:
+        now = path.stat()
+    except FileNotFoundError:  # a log that rotates is renamed, then made again
+        return False
+    return not os.path.samestat(os.fstat(file.fileno()), now) or now.st_size < file.tell()
 
 
 def _answer(stream: TextIO, points: dict[str, float]) -> str:

@@ -22,7 +22,7 @@ from pincal.show.tables import models_table, screen_table
 from pincal.words.findings import HYPOTHESES
 from pincal.words.numbers import POSES, SMALL, amount, chance, listed, measured
 from pincal.words.table import Table
-from pincal.words.wording import CAUSES, NAMED, SLIPPED, filled, groups_in_words
+from pincal.words.wording import CAUSES, NAMED, SLIPPED, filled, groups_in_words, slipped
 
 _KEEP = (
     "identified parameters predict held-out rows no better; measure more poses, or more precisely"
@@ -119,18 +119,17 @@ def _or_else(alternatives: Sequence[str]) -> str:
 
 
 def _slip_line(slip: Slip) -> str:
-    subject, look = SLIPPED[slip.what]
-    alternatives = [(SLIPPED[kind][0] % {"name": name}).rstrip(",") for kind, name in slip.or_else]
+    subject, look = slipped(slip.what, slip.name), SLIPPED[slip.what][1]
+    alternatives = [slipped(*other).rstrip(",") for other in slip.or_else]
     shown = amount(slip.total, slip.unit)
     if len(slip.axes) > 1:
         parts = zip(slip.axes, slip.size.tolist(), strict=True)
         along = ", ".join(f"{axis} {amount(value, slip.unit)}" for axis, value in parts)
         axes = "the platform's axes" if slip.what == "target" else "the axes of the measurements"
         shown += f" ({along}, in {axes})"
-    slipped = subject % {"name": slip.name}
-    course = f"from data row {slip.row + 1} on {slipped} is off by {shown}"
+    course = f"from data row {slip.row + 1} on {subject} is off by {shown}"
     if slip.steady:
-        course = f"{slipped} drifts, by {shown} from the first row to the last"
+        course = f"{subject} drifts, by {shown} from the first row to the last"
     return f"{course}: {look}{_or_else(alternatives)} ({chance(slip.p_value)})"
 
 

@@ -69,7 +69,7 @@ FINDINGS: dict[str, Wording] = {
         title="residuals follow a pattern",
     ),
     "step": Wording(
-        "{SLIPPED[what][0] % {'name': name}} is off by {size|amount(unit)} from data row {row} on "
+        "{what|slipped(name)} is off by {size|amount(unit)} from data row {row} on "
         "({p_value|chance})",
         "Run pincal explain first; then {SLIPPED[what][1]}, and leave out the shorter part",
         title="a step",

@@ -102,6 +102,11 @@ def rendered(template: str, **values: Any) -> str:
     return _pages().get_template(template).render(**values)
 
 
+def slipped(what: str, name: str) -> str:
+    """Return what slipped as the subject of a sentence; ``SLIPPED`` has its kinds."""
+    return SLIPPED[what][0].format(name=name)
+
+
 _FILTERS = {
     "amount": amount,
     "chance": chance,
@@ -116,6 +121,7 @@ _FILTERS = {
     "number": number,
     "percent": percent,
     "rounded": rounded,
+    "slipped": slipped,
     "si": lambda unit: "" if unit == "1" else f" {unit}",
     "times_off": lambda factor: (
         f"{rounded(max(factor, 1 / factor), 3)} times too {'large' if factor > 1 else 'small'}"
@@ -150,17 +156,17 @@ SLIPPED = {
         "the frame of the measurements, or the robot's base,",
         "look for a tracker, a tripod or a base that was moved",
     ),
-    "target": ("the target '%(name)s' on the platform", "look for a target or tool that was hit"),
+    "target": ("the target '{name}' on the platform", "look for a target or tool that was hit"),
     "orientation": (
         "the orientation measured on the platform",
         "look for a target or tool that was turned",
     ),
     "reading": (
-        "the reading of %(name)s",
+        "the reading of {name}",
         "look for an encoder that slipped, or a belt that jumped a tooth",
     ),
-    "camera": ("what camera %(name)s sees", "look for a camera that was hit"),
-    "quantity": ("%(name)s", "look for an encoder that slipped or a target that was hit"),
+    "camera": ("what camera {name} sees", "look for a camera that was hit"),
+    "quantity": ("{name}", "look for an encoder that slipped or a target that was hit"),
 }
 #: Names for codes in the values of findings.
 _NAMES = {
