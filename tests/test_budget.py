@@ -14,20 +14,20 @@ from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
     "": 268,
-    "architectures": 625,
+    "architectures": 619,
     "calibration": 6_914,
-    "cli": 2_727,
-    "design": 2_378,
+    "cli": 2_709,
+    "design": 2_364,
     "estimation": 4_623,
-    "files": 3_398,
+    "files": 3_382,
     "formats": 3_489,
     "instruments": 1_546,
     "kinematics": 3_428,
-    "model": 3_557,
+    "model": 3_549,
     "show": 4_197,
-    "symmetry": 1_372,
+    "symmetry": 1_368,
     "words": 972,
-    "workspace": 1_499,
+    "workspace": 1_493,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {

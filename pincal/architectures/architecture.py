@@ -1,7 +1,5 @@
 """Architectures: the dimensions of their data sheets, and checks of machines made of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import degrees, radians

@@ -4,8 +4,6 @@ A command prints its answer on stdout, and remarks on its work on stderr. Comman
 ``--quiet``: the decorator ``command`` adds the option and silences the consoles.
 """
 
-from __future__ import annotations
-
 import inspect
 import io
 import logging

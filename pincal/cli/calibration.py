@@ -1,7 +1,5 @@
 """``pincal calibrate``, ``explain`` and ``doctor``: calibration by measurements, and diagnosis."""
 
-from __future__ import annotations
-
 import argparse
 import shlex
 from collections.abc import Sequence

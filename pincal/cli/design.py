@@ -1,7 +1,5 @@
 """``pincal workspace``, ``select``, ``identifiability``, ``simulate``: plans of measurements."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``pincal import`` and ``export``: files of other programs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

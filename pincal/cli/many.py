@@ -1,7 +1,5 @@
 """``pincal montecarlo``, ``batch``, ``history``: many machines, and one machine over months."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Commands on mechanisms: list, check, convert poses and readings, deploy, new, and a demo."""
 
-from __future__ import annotations
-
 import shlex
 import tempfile
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Options of commands, declared as fields of dataclasses, and groups that commands share."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Iterable, Iterator

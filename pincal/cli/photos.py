@@ -1,7 +1,5 @@
 """``pincal board`` and ``detect``: printed boards, and their points in photos."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """``pincal view``, ``picture`` and ``plot``: mechanisms, poses and results, as pictures."""
 
-from __future__ import annotations
-
 import sys
 import webbrowser
 from collections.abc import Callable

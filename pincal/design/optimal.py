@@ -27,8 +27,6 @@ Exchange improves sets of N: a member is swapped for another candidate as long a
 All starts are improved at once.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeAlias
 

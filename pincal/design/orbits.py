@@ -5,8 +5,6 @@ carried pose, up to a constant change M of parameters: C_j(g x) M = C_i(x). Dete
 rank poses equally for both legs, whatever the offset of a sensor, whose columns M mixes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

@@ -4,8 +4,6 @@ With e of all legs, δx = −(∂e/∂x)⁻¹ (∂e/∂φ) δφ: uncertain singl
 pose well together. Where frames are not measured, the error is taken after their best fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property

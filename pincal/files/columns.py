@@ -1,7 +1,5 @@
 """Columns of a mechanism's tables: their meaning, spellings that are read, and writing them."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace

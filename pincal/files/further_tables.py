@@ -7,8 +7,6 @@ another row in ``distance_2`` and ``distance_2_to``. A table of pairs, ``row a, 
 such as heights of steps. Corners have a table of their own, one per line.
 """
 
-from __future__ import annotations
-
 import itertools
 import logging
 import re

@@ -4,8 +4,6 @@ Rows are synchronised with the disk before they are reported. A line without an 
 reported, and is cut off when the table is read again.
 """
 
-from __future__ import annotations
-
 import csv
 import fcntl
 import io

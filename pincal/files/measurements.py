@@ -3,8 +3,6 @@
 Functions accept the object itself, or a file or DataFrame to read it from.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path

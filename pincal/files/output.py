@@ -6,8 +6,6 @@ moved to their places. A kill at any moment leaves the old, the new, or the old 
 a folder only the files that pincal writes are replaced; all others stay.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import shutil

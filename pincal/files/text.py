@@ -4,8 +4,6 @@ JSON that pincal writes has no infinity: an unbounded uncertainty or end of an i
 so is any number that does not exist.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 import stat

@@ -4,8 +4,6 @@ Joints of the tree and closures of loops are edges of one graph, which are passe
 child or back. A leg is a route through the graph between base and platform.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Checks of user input, called where objects are made, and descriptions of values in messages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from numbers import Integral, Real
 from typing import Any

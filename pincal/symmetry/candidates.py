@@ -3,8 +3,6 @@
 Also the permutation of the legs that each element makes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import permutations

@@ -5,8 +5,6 @@ body is the intersection of half-spaces A x < b, shifted outward by the clearanc
 machine, and their straight paths between poses, stay outside.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
