@@ -14,20 +14,20 @@ from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
     "": 268,
-    "architectures": 619,
-    "calibration": 6_914,
+    "architectures": 612,
+    "calibration": 6_884,
     "cli": 2_709,
-    "design": 2_364,
-    "estimation": 4_623,
-    "files": 3_382,
-    "formats": 3_489,
-    "instruments": 1_546,
-    "kinematics": 3_428,
-    "model": 3_549,
-    "show": 4_197,
-    "symmetry": 1_368,
+    "design": 2_348,
+    "estimation": 4_608,
+    "files": 3_369,
+    "formats": 3_465,
+    "instruments": 1_547,
+    "kinematics": 3_412,
+    "model": 3_564,
+    "show": 4_186,
+    "symmetry": 1_360,
     "words": 972,
-    "workspace": 1_493,
+    "workspace": 1_488,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {

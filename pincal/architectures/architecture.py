@@ -10,8 +10,8 @@ import numpy as np
 from pincal.errors import MechanismError
 from pincal.kinematics.configurations import beyond_limits
 from pincal.kinematics.singularity import home_determinant
+from pincal.model import Mechanism
 from pincal.model.checks import must_be, number_of
-from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import at_home as closed_at_home
 
 #: Values of dimensions by name: lengths [m], angles [rad], and texts.

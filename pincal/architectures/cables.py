@@ -15,13 +15,8 @@ import numpy as np
 
 from pincal.architectures.architecture import Architecture, Values, length, text
 from pincal.errors import MechanismError
+from pincal.model import Follows, Joint, Leg, Mechanism, Placement, Platform, Sensor
 from pincal.model.checks import EXACT
-from pincal.model.joint import Follows, Joint
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Placement
-from pincal.model.platform import Platform
-from pincal.model.sensor import Sensor
 from pincal.types import Array
 
 UP = (0.0, 0.0, 1.0)

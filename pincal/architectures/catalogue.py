@@ -22,10 +22,8 @@ from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.table import is_dataframe, read_table
 from pincal.formats.arm import arm
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
+from pincal.model import Joint, Mechanism, Placement, placement_of
 from pincal.model.checks import must_be
-from pincal.model.joint import Joint
-from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Placement, placement_of
 from pincal.symmetry.elements import wrapped
 from pincal.types import Array
 

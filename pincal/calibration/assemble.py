@@ -26,9 +26,7 @@ from pincal.estimation.observability.residuals import leg_residuals, redundancy
 from pincal.estimation.unknowns import State
 from pincal.instruments.camera import Camera
 from pincal.kinematics.batches import over_rows
-from pincal.model.measurements import Noise
-from pincal.model.parameter import Parameter, means
-from pincal.model.relations import ROW
+from pincal.model import ROW, Noise, Parameter, means
 from pincal.model.setup import Systematic
 from pincal.types import Array, Mask
 

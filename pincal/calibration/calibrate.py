@@ -39,8 +39,7 @@ from pincal.estimation.unknowns import External
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import as_mechanism
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements
-from pincal.model.mechanism import Mechanism
+from pincal.model import Measurements, Mechanism
 from pincal.words.findings import finding, sentences
 
 

@@ -19,8 +19,7 @@ from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import State, Unknowns, unknowns
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name, influence_columns
-from pincal.model.measurements import Measurements, Noise
-from pincal.model.mechanism import Mechanism
+from pincal.model import Measurements, Mechanism, Noise
 from pincal.types import Array, Index, Mask
 
 

@@ -18,9 +18,8 @@ from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.observability.residuals import together
 from pincal.estimation.system import FALSE_ALARM
 from pincal.finding import Finding
+from pincal.model import ORIGIN, Measurements
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import Measurements
-from pincal.model.relations import ORIGIN
 from pincal.types import Index
 from pincal.words.findings import finding
 

@@ -30,9 +30,8 @@ from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.robust import check_covariance, robust_fit
 from pincal.estimation.system import Loss, System, loss_of
 from pincal.estimation.unknowns import External, State
+from pincal.model import Leg, Noise
 from pincal.model.checks import ALIKE
-from pincal.model.leg import Leg
-from pincal.model.measurements import Noise
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import WORDINGS, finding
 from pincal.words.wording import filled

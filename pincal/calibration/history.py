@@ -25,8 +25,7 @@ from pincal.design.platform_error import seen_of
 from pincal.errors import FileError, MeasurementError
 from pincal.estimation.observability.identifiable import nearest_to_nominal, plausible_changes
 from pincal.kinematics.configurations import legs_at
-from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import Parameter
+from pincal.model import Mechanism, Parameter
 from pincal.types import Array
 
 _ALARM = 1e-3  # probability of a difference at which a machine has changed

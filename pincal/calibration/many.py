@@ -31,10 +31,8 @@ from pincal.errors import FileError, MeasurementError, PincalError
 from pincal.files.journal import FAILURE, Columns, Row, RowFile, extra
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.model import Mechanism, Noise, Plan, means
 from pincal.model.checks import count_of
-from pincal.model.measurements import Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import means
 from pincal.option import option
 from pincal.types import Array
 from pincal.workspace.sampling import sample_configurations

@@ -12,11 +12,9 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.estimation.system import Loss, LossName, loss_of
 from pincal.files.text import in_si, plain_number
+from pincal.model import Measurements, Mechanism, Noise, Parameter, Setup, means
 from pincal.model.checks import counted, must_be
-from pincal.model.measurements import Measurements, Noise
-from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import Parameter, means
-from pincal.model.setup import Setup, Systematic
+from pincal.model.setup import Systematic
 from pincal.option import option
 from pincal.types import Array, Index
 from pincal.words.numbers import UNITS

@@ -24,10 +24,7 @@ from pincal.estimation.unknowns import External
 from pincal.kinematics.batches import least_squares
 from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.forward import forward
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.relations import ORIGIN, ROW
-from pincal.model.terms import Load
+from pincal.model import ORIGIN, ROW, Load, Mechanism, Plan
 from pincal.types import Array
 
 if TYPE_CHECKING:

@@ -20,11 +20,8 @@ from pincal.estimation.fit import Outlier
 from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements, Noise, Plan
-from pincal.model.mechanism import Mechanism
+from pincal.model import ORIGIN, Measurements, Mechanism, Noise, Plan, Poses
 from pincal.model.parameter import Parameters
-from pincal.model.platform import Poses
-from pincal.model.relations import ORIGIN
 from pincal.types import Array
 from pincal.words.findings import WORDINGS, sentences
 from pincal.words.numbers import rounded

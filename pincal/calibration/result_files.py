@@ -37,10 +37,8 @@ from pincal.instruments.camera import Camera, Markers
 from pincal.instruments.lens import Lens
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
+from pincal.model import LOAD, Mechanism, Plan
 from pincal.model.relations import Instrument
-from pincal.model.terms import LOAD
 from pincal.types import Array
 from pincal.words.findings import sentence
 

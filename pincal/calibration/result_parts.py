@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.finding import Finding
-from pincal.model.parameter import Parameter
+from pincal.model import Parameter
 from pincal.types import Array, Index
 from pincal.words.numbers import SMALL, measured, shown_in
 

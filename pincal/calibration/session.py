@@ -42,10 +42,8 @@ from pincal.files.table import cell_text
 from pincal.files.text import plain_number
 from pincal.finding import Finding
 from pincal.kinematics.configurations import inverse
+from pincal.model import Mechanism, Noise, Plan, Setup
 from pincal.model.checks import LARGEST
-from pincal.model.measurements import Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 from pincal.option import option
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import finding

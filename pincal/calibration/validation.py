@@ -36,7 +36,7 @@ from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, suspected
 from pincal.estimation.unknowns import State
 from pincal.kinematics.forward import forward
-from pincal.model.relations import ROW, TO
+from pincal.model import ROW, TO
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import finding
 

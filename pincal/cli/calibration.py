@@ -23,7 +23,7 @@ from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.table import TextTable, write_table
-from pincal.model.relations import ORIGIN
+from pincal.model import ORIGIN
 from pincal.option import option, option_of
 from pincal.show import answers, tables
 from pincal.show.explanation import advice, explanation_lines, remedy_table, tried

@@ -37,11 +37,8 @@ from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at, nearby
 from pincal.kinematics.derivatives import Demand
+from pincal.model import ROW, Measurements, Mechanism, Noise, Plan, Setup
 from pincal.model.checks import described
-from pincal.model.measurements import Measurements, Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.relations import ROW
-from pincal.model.setup import Setup
 from pincal.types import Array
 
 

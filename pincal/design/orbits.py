@@ -19,10 +19,8 @@ from pincal.files.measurements import as_noise
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import leg_demands_at
 from pincal.kinematics.singularity import margins
+from pincal.model import EVERY_LEG, Mechanism, Noise, Plan, Platform, Poses
 from pincal.model.checks import ALIKE
-from pincal.model.measurements import EVERY_LEG, Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform, Poses
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element
 from pincal.types import Array, Index, Mask

@@ -28,11 +28,8 @@ from pincal.kinematics.configurations import (
     legs_at,
     planned_influences,
 )
+from pincal.model import EVERY_LEG, ROW, TO, VERIFY, Mechanism, Noise, Plan, Setup
 from pincal.model.checks import count_of
-from pincal.model.measurements import EVERY_LEG, VERIFY, Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.relations import ROW, TO
-from pincal.model.setup import Setup
 from pincal.types import Array, Mask
 from pincal.workspace.sampling import sample_configurations
 

@@ -18,10 +18,8 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.collision import arm_free_of_collision
 from pincal.kinematics.configurations import check_reached
+from pincal.model import Mechanism, Noise, Plan, Setup
 from pincal.model.checks import listed
-from pincal.model.measurements import Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 from pincal.option import option
 from pincal.words.numbers import amount
 from pincal.workspace.criteria import Margins, in_workspace

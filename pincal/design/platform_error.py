@@ -15,9 +15,8 @@ from pincal.blas import one_thread
 from pincal.estimation.observability.gauge import frame_motions, unexplained
 from pincal.estimation.observability.identifiable import NEGLIGIBLE
 from pincal.kinematics.configurations import legs_at
+from pincal.model import Mechanism, Plan
 from pincal.model.checks import counted
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 from pincal.words.wording import UNCOVERED

@@ -58,10 +58,8 @@ from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.configurations import as_plan, check_reached, inverse, legs_at
 from pincal.kinematics.derivatives import leg_demands_at
+from pincal.model import EVERY_LEG, Mechanism, Noise, Plan, Setup
 from pincal.model.checks import count_of, described, generator_of
-from pincal.model.measurements import EVERY_LEG, Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 from pincal.symmetry.elements import IDENTITY, Element
 from pincal.types import Array, Mask
 

@@ -26,11 +26,8 @@ from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.configurations import as_plan, command, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import by_name, influences_of
+from pincal.model import Measurements, Mechanism, Noise, Plan, Poses, Setup
 from pincal.model.checks import generator_of, number_of
-from pincal.model.measurements import Measurements, Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Poses
-from pincal.model.setup import Setup
 from pincal.types import Array, Index
 from pincal.words.numbers import Units, amount, listed
 

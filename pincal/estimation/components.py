@@ -19,7 +19,7 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.observability.identifiable import RANK_TOLERANCE
 from pincal.estimation.problem import Linear
 from pincal.kinematics.batches import over_rows
-from pincal.model.measurements import Noise
+from pincal.model import Noise
 from pincal.types import Array, Index, Mask
 
 GROUPS = {"m": 0, "rad": 1, "px": 3}

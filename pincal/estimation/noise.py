@@ -15,12 +15,10 @@ from typing import Literal
 import numpy as np
 
 from pincal.errors import MeasurementError
+from pincal.model import ORIGIN, ROW, Measurements, Mechanism, Noise, Platform, Setup
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
-from pincal.model.relations import ORIGIN, POLAR, ROW, Tracker
-from pincal.model.setup import Setup
+from pincal.model.measurements import SMALLEST_SIGMA
+from pincal.model.relations import POLAR, Tracker
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import finding, sentence
 

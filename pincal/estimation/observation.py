@@ -24,11 +24,9 @@ from pincal.estimation.noise import RowNoise, row_noise
 from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, State
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
 from pincal.kinematics.configurations import shifted
-from pincal.model.measurements import Measurements, Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform, in_part
-from pincal.model.relations import ORIGIN, ROW, Instrument, Relation, evaluated, missed
-from pincal.model.setup import Setup
+from pincal.model import ORIGIN, ROW, Measurements, Mechanism, Noise, Plan, Platform, Setup
+from pincal.model.platform import in_part
+from pincal.model.relations import Instrument, Relation, evaluated, missed
 from pincal.types import Array, Index, Mask
 
 Predicted: TypeAlias = tuple[Array, Array, Array]

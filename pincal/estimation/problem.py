@@ -26,8 +26,7 @@ from pincal.estimation.unknowns import BlockRows, State
 from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import leg_demands_at
-from pincal.model.leg import Leg
-from pincal.model.platform import Platform
+from pincal.model import Leg, Platform
 from pincal.types import Array, Index, Mask
 
 _MANY = 2  # rows with independent noise over freedoms of a pose, above which they are turned

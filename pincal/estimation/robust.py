@@ -13,8 +13,7 @@ from pincal.estimation.observability.identifiable import DIFFER, plausible_chang
 from pincal.estimation.problem import Linear
 from pincal.estimation.solver import solve_poses, unsolved
 from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected
-from pincal.model.mechanism import Mechanism
-from pincal.model.relations import ROW
+from pincal.model import ROW, Mechanism
 from pincal.types import Mask
 from pincal.words.numbers import listed
 from pincal.words.wording import NAMED

@@ -29,9 +29,7 @@ from pincal.kinematics.configurations import inverse
 from pincal.kinematics.derivatives import nearest_closure
 from pincal.kinematics.forward import placed_by_arm
 from pincal.kinematics.singularity import platform_margin
-from pincal.model.measurements import Measurements
-from pincal.model.mechanism import Mechanism
-from pincal.model.relations import ORIGIN
+from pincal.model import ORIGIN, Measurements, Mechanism
 from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 

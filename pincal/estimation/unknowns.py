@@ -20,12 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 from pincal.kinematics.batches import inverse_left_jacobian
+from pincal.model import ORIGIN, Leg, Platform, Setup, means
 from pincal.model.checks import ROUNDING
-from pincal.model.leg import Leg
-from pincal.model.parameter import means
-from pincal.model.platform import Platform
-from pincal.model.relations import COORDINATES, ORIGIN
-from pincal.model.setup import Setup
+from pincal.model.relations import COORDINATES
 from pincal.types import Array, Index
 
 _PIXELS = 1e3  # order of focal lengths, [px]

@@ -12,12 +12,9 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import TextTable, read_table, write_table
+from pincal.model import WAYS, Measurements, Mechanism, Plan, Setup
 from pincal.model.checks import array_of, must_be
-from pincal.model.measurements import Measurements, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import WAYS
 from pincal.model.platform import columns_of as angles_of
-from pincal.model.setup import Setup
 from pincal.types import Array
 from pincal.words.numbers import COUNTS, SI, UNITS, Units
 from pincal.words.wording import NAMED

@@ -21,10 +21,8 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.columns import Columns
 from pincal.files.table import TextTable, read_table
+from pincal.model import ROW, TO, Measurements, Setup
 from pincal.model.checks import listed
-from pincal.model.measurements import Measurements
-from pincal.model.relations import ROW, TO
-from pincal.model.setup import Setup
 from pincal.types import Array
 
 _log = logging.getLogger(__name__)

@@ -17,12 +17,9 @@ from pincal.files.further_tables import read_corners, related_columns, with_pair
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import TextTable, is_dataframe, read_table, renamed
 from pincal.files.text import plain_number
+from pincal.model import EVERY_LEG, TO, VERIFY, WAYS, Measurements, Mechanism, Noise, Plan, Setup
 from pincal.model.checks import array_of, must_be
-from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import WAYS, columns_of, in_part, rotation_of
-from pincal.model.relations import TO
-from pincal.model.setup import Setup
+from pincal.model.platform import columns_of, in_part, rotation_of
 from pincal.types import Array
 from pincal.words.numbers import amount
 

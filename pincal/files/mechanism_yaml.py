@@ -19,15 +19,13 @@ from pincal.files.text import plain_number
 from pincal.files.urdf import read_leg, read_points
 from pincal.files.urdf_writing import leg_links
 from pincal.files.yaml import Entry, Readers, read_yaml
+from pincal.model import Joint, Leg, Load, Mechanism, Platform, Sensor
 from pincal.model.checks import LARGEST
 from pincal.model.consistency import check_home
-from pincal.model.joint import End, Joint
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
+from pincal.model.joint import End
 from pincal.model.placement import Coordinate
-from pincal.model.platform import KINDS, TWIST, Platform
-from pincal.model.sensor import Sensor
-from pincal.model.terms import Cables, Harmonic, Load, Power, Share, Term
+from pincal.model.platform import KINDS, TWIST
+from pincal.model.terms import Cables, Harmonic, Power, Share, Term
 
 FORMAT = 1
 YAML = "mechanism.yaml"

@@ -12,9 +12,8 @@ from difflib import get_close_matches
 import numpy as np
 
 from pincal.errors import MechanismError
+from pincal.model import Closing, Follows, Joint, Placement
 from pincal.model.checks import listed
-from pincal.model.joint import Closing, Follows, Joint
-from pincal.model.placement import Placement
 from pincal.types import Array
 
 

@@ -17,9 +17,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.errors import MechanismError
 from pincal.files.text import plain_number, read_xml, why_no_number
 from pincal.files.tree import Edge, Tree, hung, root_of, turns, with_ranges
+from pincal.model import Follows, Joint, Placement, placement_of
 from pincal.model.checks import LARGEST
-from pincal.model.joint import End, Follows, Joint, JointKind
-from pincal.model.placement import Placement, placement_of
+from pincal.model.joint import End, JointKind
 
 Triple = tuple[float, float, float]
 XACRO = "python -m pip install xacro; xacro FILE.urdf.xacro > FILE.urdf"

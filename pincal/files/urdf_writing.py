@@ -7,9 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from lxml import etree
 
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
-from pincal.model.placement import Placement
+from pincal.model import Joint, Leg, Placement
 
 Triple = tuple[float, float, float]
 _COLOURS = {"orange": "0.85 0.37 0.01 1", "blue": "0.12 0.47 0.71 1", "grey": "0.35 0.35 0.35 1"}

@@ -19,14 +19,10 @@ from pincal.errors import MechanismError, located
 from pincal.files.tree import Step, Tree, coupled, route, turns
 from pincal.formats.closings import read_closed
 from pincal.kinematics.closure import LegClosure
+from pincal.model import Joint, Leg, Mechanism, Placement, Platform, Sensor, placement_of
 from pincal.model.checks import listed, must_be
 from pincal.model.consistency import identifiers
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Coordinate, Placement, placement_of
-from pincal.model.platform import Platform
-from pincal.model.sensor import Sensor
+from pincal.model.placement import Coordinate
 from pincal.types import Array
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")

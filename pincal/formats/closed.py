@@ -22,13 +22,9 @@ from pincal.files.tree import Step, Tree, coupled
 from pincal.formats.arm import displaced
 from pincal.formats.limbs import Limb, leg_of, limbs_of, onto_normal, plane_of, point_platform
 from pincal.kinematics.assembly import assembled, independent, opening
+from pincal.model import Joint, Leg, Mechanism, Platform, placement_of
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
 from pincal.model.consistency import identifiers
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.placement import placement_of
-from pincal.model.platform import Platform
 from pincal.types import Array
 
 _log = logging.getLogger(__name__)

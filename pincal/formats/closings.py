@@ -22,8 +22,7 @@ from pincal.errors import MechanismError
 from pincal.files.text import read_xml
 from pincal.files.tree import Edge, Tree, turns
 from pincal.files.urdf import CLOSING, KINDS, read_urdf, tag_of, triple_of
-from pincal.model.joint import Joint
-from pincal.model.placement import Placement, placement_of
+from pincal.model import Joint, Placement, placement_of
 from pincal.types import Array
 
 Parts = Mapping[str, etree._Element]

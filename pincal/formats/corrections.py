@@ -19,10 +19,8 @@ from pincal.errors import MechanismError
 from pincal.files.columns import Columns, columns_of
 from pincal.kinematics.configurations import inverse
 from pincal.kinematics.forward import forward
+from pincal.model import Mechanism, Plan, Platform
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
 from pincal.types import Array
 
 _SMOOTH = 1e-6  # weight of squared second differences along the grid, relative to a pose's

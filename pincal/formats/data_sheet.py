@@ -15,9 +15,7 @@ from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import inverse
 from pincal.kinematics.forward import forward
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
+from pincal.model import Leg, Mechanism, Platform
 from pincal.types import Array
 from pincal.words.numbers import SI, UNITS, Units, amount
 

@@ -19,8 +19,8 @@ from pincal.files.mechanism_folders import load_mechanism
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
+from pincal.model import Mechanism
 from pincal.model.checks import EXACT, LARGEST
-from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import at_home, carry
 from pincal.symmetry.elements import Element, wrapped
 from pincal.types import Array

@@ -29,12 +29,9 @@ from pincal.kinematics.closing import home_mode, sensor_law
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.forward import forward, reading_range
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
+from pincal.model import LOAD, Joint, Leg, Load, Mechanism, Plan
 from pincal.model.sensor import PlacedTerm, SensorLaw
-from pincal.model.terms import LOAD, Harmonic, Load, Power
+from pincal.model.terms import Harmonic, Power
 from pincal.types import Array
 
 Table = dict[str, Any]

@@ -30,9 +30,8 @@ import numpy as np
 from pincal.errors import MechanismError, located
 from pincal.files.text import LARGEST_FILE, LINE_END, plain_number, read_text
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
+from pincal.model import ROW, TO, Measurements
 from pincal.model.checks import LARGEST
-from pincal.model.measurements import Measurements
-from pincal.model.relations import ROW, TO
 from pincal.types import Array
 from pincal.words.numbers import UNITS
 

@@ -19,11 +19,9 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError
 from pincal.files.tree import Edge, Step, Tree, route
 from pincal.formats.arm import joints_along
+from pincal.model import Closing, Joint, Leg, Placement, Sensor, placement_of
 from pincal.model.checks import EXACT, listed
-from pincal.model.joint import Closing, End, Joint
-from pincal.model.leg import Leg
-from pincal.model.placement import Placement, placement_of
-from pincal.model.sensor import Sensor
+from pincal.model.joint import End
 from pincal.types import Array
 
 _IN_EACH_LEG = ([0, 3], [0, 4], [1, 3], [1, 4])  # drives among five joints of a loop

@@ -26,12 +26,10 @@ from pincal.files.text import read_xml
 from pincal.files.tree import Edge, Tree, at_home, root_of, turns, with_ranges
 from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.kinematics.assembly import assembled
+from pincal.model import Closing, Follows, Joint, Leg, Mechanism, Placement, Platform, placement_of
 from pincal.model.checks import LARGEST
-from pincal.model.joint import Closing, Follows, Joint, JointKind
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Placement, placement_of
-from pincal.model.platform import Platform, turns_in_series
+from pincal.model.joint import JointKind
+from pincal.model.platform import turns_in_series
 from pincal.types import Array
 
 if TYPE_CHECKING:

@@ -32,11 +32,8 @@ from pincal.files.tree import Edge, Tree, at_home
 from pincal.files.urdf import read_urdf
 from pincal.files.yaml import Entry, read_yaml
 from pincal.formats.closings import read_closed
+from pincal.model import Closing, Joint, Leg, Mechanism, Placement, placement_of
 from pincal.model.checks import ROUNDING, listed
-from pincal.model.joint import Closing, Joint
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Placement, placement_of
 from pincal.types import Array
 
 _TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")  # attributes may hold '>'

@@ -20,8 +20,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.errors import MeasurementError
 from pincal.instruments.lens import Lens
 from pincal.instruments.placing import board_in_camera, by_hand_eye, placed_by_rays
+from pincal.model import Parameter
 from pincal.model.checks import array_of, check_sizes, must_be, named_points, set_point
-from pincal.model.parameter import Parameter
 from pincal.model.relations import Residuals
 from pincal.types import Array, Mask, Point
 

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from pincal.errors import MeasurementError
+from pincal.model import Parameter
 from pincal.model.checks import array_of, count_of, must_be, number_of
-from pincal.model.parameter import Parameter
 from pincal.types import Array, Mask
 
 PLANE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")

@@ -11,9 +11,10 @@ from pincal.files.yaml import Entry, Readers, Vector, read_yaml
 from pincal.instruments.board import CHEQUERED, read_board
 from pincal.instruments.camera import Camera, Markers
 from pincal.instruments.lens import Lens
+from pincal.model import Setup, Target
 from pincal.model.checks import must_be
 from pincal.model.relations import Contact, Distance, Tracker
-from pincal.model.setup import Setup, Systematic, Target
+from pincal.model.setup import Systematic
 
 T = TypeVar("T", Lens, Markers)
 

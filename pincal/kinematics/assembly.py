@@ -17,10 +17,8 @@ from pincal.errors import MechanismError
 from pincal.kinematics.batches import block_diagonal, motion_of_points
 from pincal.kinematics.closing import sensor_law, started
 from pincal.kinematics.closure import LegClosure, joint_range, nominal_legs
+from pincal.model import Leg, Mechanism, Platform
 from pincal.model.checks import ROUNDING
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
 from pincal.types import Array, Mask
 
 _STEPS, _LARGEST = 100, 0.3  # most steps of Newton's method, and longest step, [rad] or size

@@ -18,9 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pincal.kinematics.forest import Elementary, Forest, Motion
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
-from pincal.model.placement import Placement
+from pincal.model import Joint, Leg, Placement
 from pincal.types import Array, Index
 
 Begun = tuple[Array, Array, Motion | None]

@@ -19,9 +19,8 @@ from pincal.errors import MechanismError
 from pincal.kinematics.batches import cross, least_squares, parted, product, repeated, stacked
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import Closure, LegClosure, each, evaluate, joint_range
+from pincal.model import Leg, Platform
 from pincal.model.checks import ROUNDING, wrapped
-from pincal.model.leg import Leg
-from pincal.model.platform import Platform
 from pincal.model.sensor import SensorLaw, law_of_sensors
 from pincal.types import Array, Mask
 

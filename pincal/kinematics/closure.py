@@ -30,9 +30,7 @@ from pincal.kinematics.batches import (
 )
 from pincal.kinematics.chain import Chain, PlatformPoint, leg_chain, motion, platform_point
 from pincal.kinematics.forest import Motion
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
+from pincal.model import Leg, Mechanism, Platform
 from pincal.model.sensor import SensorLaw, law_of_deformations
 from pincal.types import Array
 

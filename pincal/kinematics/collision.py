@@ -12,8 +12,7 @@ import pinocchio as pin
 from pincal.errors import FileError, MechanismError, ObservabilityError
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
+from pincal.model import Mechanism, Plan
 from pincal.types import Array, Mask
 
 _CLOSE = 2  # joints between bodies; nearer ones touch by design

@@ -23,11 +23,8 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demands_at, nearest_closure
 from pincal.kinematics.forward import LOADS, forward, reading_range, with_loads
 from pincal.kinematics.influences import Influences, influence_columns, influences_of
+from pincal.model import Leg, Mechanism, Plan, Poses
 from pincal.model.checks import ROUNDING, ROWS, array_of, numbers_of
-from pincal.model.leg import Leg
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Poses
 from pincal.types import Array, Mask
 
 _CLOSES = 0.01  # largest gap of a leg at measured readings and poses, over its size

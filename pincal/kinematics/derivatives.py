@@ -15,8 +15,8 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks, least_squares, lengths, parted, product, stacked
 from pincal.kinematics.closing import close, grouped, sensor_law, started
 from pincal.kinematics.closure import Closure, LegClosure, each, evaluate
+from pincal.model import Poses
 from pincal.model.checks import EXACT
-from pincal.model.platform import Poses
 from pincal.types import Array, Mask
 
 _STEPS = 60  # largest number of Newton steps

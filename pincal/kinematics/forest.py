@@ -17,8 +17,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import cross
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
+from pincal.model import Leg, Mechanism
 from pincal.types import Array
 
 _JOINTS = {

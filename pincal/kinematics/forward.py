@@ -29,11 +29,9 @@ from pincal.kinematics.closing import (
 from pincal.kinematics.closure import Closure, LegClosure, evaluate, joint_range, nominal_legs
 from pincal.kinematics.influences import Influences, gravity_loads, influence_columns
 from pincal.kinematics.singularity import platform_margin
+from pincal.model import LOAD, Mechanism, Poses
 from pincal.model.checks import ROUNDING, numbers_of
 from pincal.model.consistency import ROUGH
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Poses
-from pincal.model.terms import LOAD
 from pincal.types import Array, Index, Mask
 
 

@@ -14,10 +14,9 @@ from pincal.kinematics.batches import block_diagonal, least_squares, left_null, 
 from pincal.kinematics.chain import body_chain
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.derivatives import nearest_closure
+from pincal.model import Load, Measurements, Mechanism, Plan
 from pincal.model.checks import array_of
-from pincal.model.measurements import Measurements, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.terms import APPROACH, Load
+from pincal.model.terms import APPROACH
 from pincal.types import Array
 
 _STILL = 1e-3  # motion over the range of a reading, below which it stands still

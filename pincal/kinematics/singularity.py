@@ -29,9 +29,8 @@ from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_legs, sen
 from pincal.kinematics.closure import Closure, nominal_legs
 from pincal.kinematics.derivatives import nearest_closure
 from pincal.kinematics.influences import weight
+from pincal.model import Mechanism, Poses
 from pincal.model.checks import EXACT, ROUNDING
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Poses
 from pincal.model.terms import Cables
 from pincal.types import Array, Mask
 

@@ -17,8 +17,8 @@ from pincal.estimation.fit import Outlier
 from pincal.estimation.observability.identifiable import WeakPair
 from pincal.estimation.system import UNLIKELY
 from pincal.formats.delta_printer import delta_printer
+from pincal.model import Mechanism
 from pincal.model.checks import counted
-from pincal.model.mechanism import Mechanism
 from pincal.show.misses import WorkspaceErrors
 from pincal.show.tables import accuracy_table, held_out_errors
 from pincal.words.findings import WORDINGS, sentence

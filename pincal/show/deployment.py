@@ -25,10 +25,8 @@ from pincal.formats import deployed as templates
 from pincal.formats.corrections import correction_grid, grid_columns
 from pincal.formats.data_sheet import deltakins, genhexkins, geometry_sheet
 from pincal.formats.deployed import Deployed, c_header, python_file
+from pincal.model import Mechanism, Plan, Setup
 from pincal.model.checks import count_of
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
 from pincal.option import option, option_of
 from pincal.types import Array
 from pincal.words.numbers import Units, amount

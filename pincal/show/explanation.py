@@ -14,9 +14,8 @@ from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.observability.courses import Slip
 from pincal.estimation.system import FALSE_ALARM
+from pincal.model import ORIGIN, Mechanism
 from pincal.model.checks import counted
-from pincal.model.mechanism import Mechanism
-from pincal.model.relations import ORIGIN
 from pincal.show.answers import rejected_lines, unpromised, weak_lines
 from pincal.show.tables import models_table, screen_table
 from pincal.words.findings import HYPOTHESES

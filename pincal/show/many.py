@@ -16,10 +16,8 @@ from pincal.calibration.many import MonteCarlo, error_columns
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
 from pincal.files.journal import FAILURE, Columns, Row
+from pincal.model import Mechanism, Parameter, Plan
 from pincal.model.checks import counted
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import Parameter
 from pincal.show import answers
 from pincal.show.misses import workspace_errors
 from pincal.show.report import Page

@@ -23,7 +23,7 @@ from pincal.instruments.camera import Camera
 from pincal.instruments.lens import Lens
 from pincal.kinematics.configurations import as_plan, legs_at
 from pincal.kinematics.forward import forward
-from pincal.model.measurements import Plan
+from pincal.model import Plan
 from pincal.types import Array, Mask
 from pincal.words.numbers import percent
 from pincal.workspace.criteria import in_workspace

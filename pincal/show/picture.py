@@ -23,8 +23,8 @@ from scipy.spatial.transform import RigidTransform
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
+from pincal.model import EVERY_LEG, Plan
 from pincal.model.checks import counted
-from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.show.style import (
     ACTIVE,
     IDENTIFIED,

@@ -24,9 +24,8 @@ from pincal.errors import FileError, MeasurementError, WorkspaceError
 from pincal.files.measurements import read_poses
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
+from pincal.model import EVERY_LEG, VERIFY, Mechanism, Plan
 from pincal.model.checks import counted
-from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
-from pincal.model.mechanism import Mechanism
 from pincal.show import answers, tables
 from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.picture import picture

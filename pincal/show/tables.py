@@ -12,9 +12,8 @@ from pincal.calibration.validation import MISSES
 from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
 from pincal.estimation.observability.identifiable import NEGLIGIBLE
+from pincal.model import ORIGIN, Mechanism
 from pincal.model.checks import counted, listed
-from pincal.model.mechanism import Mechanism
-from pincal.model.relations import ORIGIN
 from pincal.show.misses import (
     WorkspaceErrors,
     camera_misses,

@@ -12,8 +12,8 @@ from scipy.optimize import linear_sum_assignment
 
 from pincal.kinematics.batches import motion_of_points
 from pincal.kinematics.closure import nominal_legs
+from pincal.model import Mechanism
 from pincal.model.checks import ALIKE, ROUNDING
-from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element, applied, isometry
 from pincal.symmetry.shapes import Difference, StandingLeg, differences
 from pincal.types import Array, Index

@@ -16,14 +16,9 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError, SymmetryError
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
+from pincal.model import LOAD, Joint, Leg, Mechanism, Placement, Platform, Sensor
 from pincal.model.checks import ROUNDING
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Coordinate, Placement, Value, floats
-from pincal.model.platform import Platform
-from pincal.model.sensor import Sensor
-from pincal.model.terms import LOAD
+from pincal.model.placement import Coordinate, Value, floats
 from pincal.symmetry.elements import Element, wrapped
 from pincal.types import Array
 from pincal.words.numbers import listed

@@ -19,10 +19,8 @@ from pincal.errors import SymmetryError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import home_mode
 from pincal.kinematics.configurations import inverse
+from pincal.model import Leg, Mechanism, Poses
 from pincal.model.checks import ALIKE, EXACT, number_of
-from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Poses
 from pincal.symmetry.candidates import NEARLY, LegImages, Permutation
 from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import (

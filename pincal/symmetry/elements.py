@@ -15,8 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import SymmetryError
+from pincal.model import Platform, Poses
 from pincal.model.checks import EXACT, ROUNDING, count_of
-from pincal.model.platform import Platform, Poses
 from pincal.types import Array, Index
 
 SAME = EXACT  # largest difference by rounding, of angles [rad] and of positions over their extent

@@ -21,9 +21,8 @@ from pincal.kinematics.batches import lengths
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
+from pincal.model import LOAD, Joint
 from pincal.model.checks import wrapped
-from pincal.model.joint import Joint
-from pincal.model.terms import LOAD
 from pincal.symmetry.elements import Element, applied
 from pincal.types import Array
 from pincal.words.numbers import POSES, amount, listed

@@ -30,10 +30,10 @@ from pincal.kinematics.singularity import (
     platform_margin,
     rods_margin,
 )
+from pincal.model import WAYS, Mechanism, Platform, Poses
 from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.consistency import home_gap
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import WAYS, Platform, Poses, rotation_of
+from pincal.model.platform import rotation_of
 from pincal.option import option
 from pincal.symmetry.elements import SAME, Element
 from pincal.types import Array, Mask

@@ -20,8 +20,8 @@ from scipy.sparse.csgraph import connected_components
 
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.model import Mechanism
 from pincal.model.checks import ALIKE
-from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import SAME
 from pincal.types import Array, Mask

@@ -19,9 +19,7 @@ from scipy.spatial import ConvexHull
 from pincal.errors import FileError, MeasurementError
 from pincal.files.text import in_si
 from pincal.kinematics.configurations import as_plan, joints_at
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
+from pincal.model import Mechanism, Plan, Setup
 from pincal.option import option
 from pincal.types import Array, Mask
 

@@ -17,8 +17,8 @@ from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import write_table
 from pincal.kinematics.singularity import margins
+from pincal.model import Mechanism
 from pincal.model.checks import ROUNDING, described
-from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element, applied
 from pincal.types import Array, Mask

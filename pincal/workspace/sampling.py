@@ -24,12 +24,9 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import command, shifted
 from pincal.kinematics.forward import reading_range
 from pincal.kinematics.singularity import margins
+from pincal.model import Mechanism, Plan, Platform, Setup
 from pincal.model.checks import count_of, generator_of
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
 from pincal.model.relations import missed
-from pincal.model.setup import Setup
 from pincal.types import Array, Mask, Point
 from pincal.workspace.criteria import Margins, as_margins, criteria_of, in_workspace
 from pincal.workspace.grid import MOST, reach_box

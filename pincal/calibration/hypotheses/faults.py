@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.judging import QUESTIONED, Case, Hypothesis, case_of, judge
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import WAYS, Platform, columns_of, rotation_of
+from pincal.model import WAYS, Measurements, Mechanism, Platform
+from pincal.model.platform import columns_of, rotation_of
 from pincal.types import Array
 
 Right = Callable[[Measurements], Measurements]

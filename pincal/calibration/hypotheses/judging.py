@@ -31,10 +31,7 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import inverse
 from pincal.kinematics.forward import forward
 from pincal.kinematics.singularity import margins
-from pincal.model.measurements import Measurements
-from pincal.model.mechanism import Mechanism
-from pincal.model.relations import ORIGIN
-from pincal.model.setup import Setup, Target
+from pincal.model import ORIGIN, Measurements, Mechanism, Setup, Target
 from pincal.types import Array, Index, Mask
 
 QUESTIONED = 0.02  # misfit over the measured stroke, above which legs are questioned

@@ -39,9 +39,8 @@ from pincal.finding import Finding
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.forward import forward
+from pincal.model import ROW, TO, Measurements
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import Measurements
-from pincal.model.relations import ROW, TO
 from pincal.words.findings import finding, sentence
 from pincal.words.numbers import amount
 

@@ -29,11 +29,9 @@ from pincal.calibration.terms.kinds import (
 from pincal.errors import MeasurementError
 from pincal.kinematics.forward import loads_at
 from pincal.kinematics.influences import sides
+from pincal.model import LOAD, Leg, Measurements, Mechanism
 from pincal.model.checks import ROUNDING, listed
-from pincal.model.leg import Leg
-from pincal.model.measurements import Measurements
-from pincal.model.mechanism import Mechanism
-from pincal.model.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
+from pincal.model.terms import APPROACH, Harmonic, Power, Share, Term
 from pincal.types import Array
 
 _log = logging.getLogger(__name__)

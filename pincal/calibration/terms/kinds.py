@@ -15,10 +15,8 @@ from pincal.architectures.cables import is_cable
 from pincal.calibration.options import AUTO
 from pincal.errors import MeasurementError
 from pincal.files.text import in_si
+from pincal.model import LOAD, Load, Measurements, Mechanism
 from pincal.model.checks import LARGEST, listed
-from pincal.model.measurements import Measurements
-from pincal.model.mechanism import Mechanism
-from pincal.model.terms import LOAD, Load
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
 PULLEY = "pulley"

@@ -19,7 +19,7 @@ from pincal.estimation.observability.residuals import TAKEN, Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.influences import sides
-from pincal.model.relations import ORIGIN
+from pincal.model import ORIGIN
 from pincal.types import Array, Index
 
 _HARMONICS = (1, 2, 3)

@@ -30,9 +30,7 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.finding import Finding
 from pincal.kinematics.batches import point_velocity
-from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
-from pincal.model.setup import Setup
+from pincal.model import Mechanism, Platform, Setup
 from pincal.types import Array
 from pincal.words.findings import finding
 

@@ -23,10 +23,8 @@ from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.configurations import Legs, legs_at, nearby
+from pincal.model import Leg, Mechanism, Plan
 from pincal.model.checks import ROUNDING
-from pincal.model.leg import Leg
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Index
 from pincal.words.wording import group_in_words
 

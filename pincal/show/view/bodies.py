@@ -19,9 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.kinematics.configurations import as_plan, joints_at
-from pincal.model.leg import Leg
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
+from pincal.model import Leg, Mechanism, Plan
 from pincal.show.style import ACTIVE, DIMENSION
 from pincal.types import Array
 

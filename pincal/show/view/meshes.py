@@ -14,7 +14,7 @@ from yourdfpy.urdf import filename_handler_magic
 from pincal.errors import FileError
 from pincal.files.text import read_xml
 from pincal.kinematics.collision import check_mesh
-from pincal.model.mechanism import Mechanism
+from pincal.model import Mechanism
 from pincal.show.view.bodies import Body, Shape
 
 METAL = "#aab1ba"

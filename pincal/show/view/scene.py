@@ -20,9 +20,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import least_squares
 from pincal.kinematics.configurations import command, legs_at
 from pincal.kinematics.forward import forward
-from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
-from pincal.model.mechanism import Mechanism
-from pincal.model.relations import ORIGIN
+from pincal.model import EVERY_LEG, ORIGIN, VERIFY, Mechanism, Plan
 from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
 from pincal.show.view.bodies import Body, body
 from pincal.types import Array, Index, Mask

@@ -24,7 +24,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
-from pincal.model.measurements import Plan
+from pincal.model import Plan
 from pincal.show.answers import warnings
 from pincal.show.report import Page
 from pincal.show.view.meshes import with_meshes
