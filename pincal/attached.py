@@ -6,8 +6,6 @@ A function of a higher package does the work, and is imported at the first call.
 only place where a lower package refers to a higher one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module

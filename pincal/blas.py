@@ -5,8 +5,6 @@ threads is restored when the last concurrent call ends. The limit holds for the 
 threads see it meanwhile, and limits that they set meanwhile are lost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache

@@ -3,8 +3,6 @@
 ``docs/errors.md`` gives the causes and remedies of each.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Findings: a code and the numbers behind it. ``pincal.words`` makes sentences of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal

@@ -5,8 +5,6 @@ Python functions take the dataclass itself; ``pincal.cli.options`` makes command
 fields: ``fixed`` is ``--fixed``, and ``symmetry = True`` is ``--no-symmetry``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields
 from typing import Any
 

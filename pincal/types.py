@@ -1,7 +1,5 @@
 """Types of arrays and points; docstrings state the shapes where arrays are used."""
 
-from __future__ import annotations
-
 from typing import TypeAlias
 
 import numpy as np

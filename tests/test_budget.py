@@ -13,20 +13,20 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 268,
+    "": 256,
     "architectures": 612,
-    "calibration": 6_884,
+    "calibration": 6_856,
     "cli": 2_709,
     "design": 2_348,
-    "estimation": 4_608,
+    "estimation": 4_596,
     "files": 3_369,
-    "formats": 3_465,
-    "instruments": 1_547,
-    "kinematics": 3_412,
+    "formats": 3_445,
+    "instruments": 1_537,
+    "kinematics": 3_392,
     "model": 3_564,
-    "show": 4_186,
+    "show": 4_158,
     "symmetry": 1_360,
-    "words": 972,
+    "words": 968,
     "workspace": 1_488,
 }
 """Most lines of each room; a room that is not listed may have none."""

@@ -4,8 +4,6 @@ Legs that are identified alone share the noise of the poses. Each estimate depen
 influence K, and two legs have the cross covariance Σ K_i K_jᵀ over the noise of common poses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

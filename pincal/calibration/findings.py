@@ -1,7 +1,5 @@
 """The findings of a calibration: what its reader should know before its numbers, as data."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ Standard deviations that are not given, of the noise and of how far machines dif
 drawing (``--tolerance auto``), are variance components. They are estimated in turn with the fits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

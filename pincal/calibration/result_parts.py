@@ -1,7 +1,5 @@
 """Parts of a result: parameters; residuals of legs and measured quantities; held-out errors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

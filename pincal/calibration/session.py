@@ -10,8 +10,6 @@ first row on:
 The next pose is chosen by ``pincal.design.order``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple

@@ -8,8 +8,6 @@ bootstrap of poses (A. C. Davison and D. V. Hinkley 1997), since rows of one pos
 evidence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Fits that outliers do not spoil, and the list of rows that did not fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -18,8 +18,6 @@ rotated by Householder reflections so that only dof of them depend on the pose. 
 the other rows; the rest do not depend on the pose. The cost is linear in the number of rows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple

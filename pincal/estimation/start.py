@@ -7,8 +7,6 @@ mode of home. Then follows the rigid motion from the targets at these poses to t
 are recognised by an alignment of least absolute distances, and left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache

@@ -5,8 +5,6 @@ displacements as parameters; with base and tool unknown that is one set more tha
 Planning and calibration find out which of them are not observable.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ Every joint that moves, the tip and the platform's point may be displaced in all
 leg keeps the displacements that its closure can distinguish (``independent``) as parameters.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 from collections import Counter

@@ -7,8 +7,6 @@ point. Any other joint leads from the parent to an added link, whose whole frame
 Source: github.com/ros/urdfdom/pull/264; Drake's multibody parsing, list of custom elements.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -6,8 +6,6 @@ between nodes. The nodes are fitted to poses all over the workspace, so that nod
 serve the cells they border.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

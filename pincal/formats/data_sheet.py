@@ -4,8 +4,6 @@ They come from the closed forms of legs (``kinematics.closed_forms``): struts, c
 cranks or carriages. Standard errors are propagated from the parameters to first order.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import least_squares
 

@@ -6,8 +6,6 @@ E + √(L² − R²). Three towers lie on one circle, so every mechanism of vert
 to a nozzle that does not turn has this form, with the origin at the centre of that circle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import asin, hypot, pi, sqrt

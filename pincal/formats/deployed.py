@@ -5,8 +5,6 @@ Both use the same tables. Every kinematic parameter is a joint of a leg's calibr
 constant transform.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field

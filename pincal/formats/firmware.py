@@ -14,8 +14,6 @@ RepRapFirmware adds them, and has trims of the rods A, B, C in M665, where B alo
 radius (``delta.cpp``, ``M665.cpp``).
 """
 
-from __future__ import annotations
-
 import configparser
 import re
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ an end, and so is each bond that closes a loop within. An end whose last joints 
 in a point (three revolute axes; in the plane, one) closes a point; any other closes a frame.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -14,8 +14,6 @@ the last joint and the platform's frame, which a URDF cannot hold if no joint is
 applied to the frames that are fixed to the platform's link.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace

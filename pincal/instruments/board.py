@@ -9,8 +9,6 @@ The board's frame is at the lower left corner of the grid: x right, y up, z out 
 Markers, and corners of ChArUco boards, are numbered as in OpenCV: by rows, from above.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -13,8 +13,6 @@ of c is the residual variance times (JᵀJ)⁻¹, enlarged where residuals of ne
 correlated, as in sharpened and compressed photos.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field

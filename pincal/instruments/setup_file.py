@@ -1,7 +1,5 @@
 """Reading of setups from YAML files: targets, contacts, distances, instruments and boards."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar

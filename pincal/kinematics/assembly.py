@@ -6,8 +6,6 @@ joint's zero changes nothing, nor does a shift along its axis that the next plac
 the parameters in order those are taken that add to the rank of the closure's derivatives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ They are fastest where memory runs along the poses (``.T`` of arrays of shape (â
 does one long loop instead of N short ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any

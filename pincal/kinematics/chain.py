@@ -8,8 +8,6 @@ of J is the parameter's column of S. Only where a gear ratio is a parameter is a
 linear, but a product.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache

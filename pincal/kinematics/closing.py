@@ -6,8 +6,6 @@ cannot reach the pose in its mode; another branch is never returned. A homed sen
 joint's position at the platform's home pose, which is found by closing the leg there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple, TypeVar

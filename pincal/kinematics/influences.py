@@ -3,8 +3,6 @@
 The side from which a joint approaches follows from the order of rows if no column has it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

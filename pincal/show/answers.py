@@ -1,7 +1,5 @@
 """Answers of a calibration: is it better, by how much, is it reliable, and what comes next."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Boards on paper in true size, with a bar to check it; and photos with the points seen in them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ report draw its charts by name; the methods' docstrings are their captions. Resi
 are divided by their standard deviations σ√(1−h), with leverage h.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

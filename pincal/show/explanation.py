@@ -1,7 +1,5 @@
 """Output of ``explain``, ``doctor`` and ``identifiability``, in sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

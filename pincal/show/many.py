@@ -1,7 +1,5 @@
 """Studies of many machines, and the history of a single machine, as lines, tables and a page."""
 
-from __future__ import annotations
-
 from collections import Counter
 from functools import cached_property, partial
 

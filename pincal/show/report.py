@@ -1,7 +1,5 @@
 """Pages to read, print and keep: ``result.report()``, and the output of print and notebooks."""
 
-from __future__ import annotations
-
 import html
 from collections import Counter
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Figures are drawn and written with one set of matplotlib's parameters, files who
 equal figures give equal bytes.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import warnings

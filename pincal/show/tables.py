@@ -1,7 +1,5 @@
 """All tables of the output, in displayed units."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pincal.calibration.result import CalibrationResult

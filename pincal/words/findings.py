@@ -4,8 +4,6 @@ Sentences for faulty measurements begin with the cause. Hypotheses that would ex
 measurements equally well share one sentence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any

@@ -5,8 +5,6 @@ it are the finding's values, its ``rows`` (counted from 1), ``row`` (the first),
 for one row) and ``parameters``; filters are listed below.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence

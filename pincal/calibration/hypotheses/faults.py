@@ -4,8 +4,6 @@ Frames and orders concern poses or columns as a whole; a sign, a unit or a motor
 in the readings of single legs. ``plausibility`` decides which hypotheses explain measurements.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial

@@ -5,8 +5,6 @@ is judged by the median miss of the nominal machine. The hypothesis with the sma
 the photos if it at least halves the miss. Single points and moved cameras are judged by fits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations

@@ -6,8 +6,6 @@ the measurements if each corrected fault reduces the misfit to a third. All hypo
 well as the best are named, as they cannot be separated. If there is none, nothing is identified.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache

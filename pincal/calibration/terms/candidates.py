@@ -1,7 +1,5 @@
 """Terms that may be added to sensors, lengths and angles, scaled by the range of measurements."""
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence

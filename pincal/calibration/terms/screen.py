@@ -10,8 +10,6 @@ peak accounts for all others (R. B. Davies 1987): p (1 + w √z), z half of χ²
 times the span of log rates, whose prior is uniform: of equally clear periods the longest is first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain

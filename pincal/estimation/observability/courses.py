@@ -6,8 +6,6 @@ error in each or with separate amplitudes. Positions that drift together belong 
 tests are combined into one: the probability of any such finding by chance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple

@@ -9,8 +9,6 @@ machines differ from their drawings. So the choice depends on the machine only, 
 it was measured.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ piston of a prismatic joint (a thin cable for joints called ``line`` or ``cable`
 joint's motion, and plates. Placements of a leg's links are NaN where it does not reach the pose.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Links of a mechanism as the meshes (STL, DAE, OBJ) of the URDF that it was read from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ JSON and becomes text nodes. The page's security policy forbids requests to any 
 that served it.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 A scene consists of moving parts (``bodies``) and of layers of static dots and lines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
