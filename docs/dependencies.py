@@ -1,4 +1,7 @@
-"""Writes the tables of dependencies.md, of what is installed: ``python docs/dependencies.py``."""
+"""Writes the tables of dependencies.md, of what is installed: ``python docs/dependencies.py``.
+
+It prints what these packages bring along, by licence.
+"""
 
 from __future__ import annotations
 
@@ -140,11 +143,7 @@ def indirect() -> str:
     return "".join(f"- {kind}: {', '.join(group)}\n" for kind, group in groupby(names, licence))
 
 
-TABLES = {
-    "library": direct,
-    "tools": lambda: direct("test", "docs", "dev"),
-    "brought": indirect,
-}
+TABLES = {"library": direct, "tools": lambda: direct("test", "docs", "dev")}
 
 
 def written(page: str, *names: str) -> str:
@@ -159,3 +158,4 @@ def written(page: str, *names: str) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    print(indirect(), end="")
