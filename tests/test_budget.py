@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 256,
     "architectures": 612,
-    "calibration": 6_856,
+    "calibration": 6_829,
     "cli": 2_709,
     "design": 2_348,
     "estimation": 4_596,
@@ -24,9 +24,9 @@ LINES = {
     "instruments": 1_537,
     "kinematics": 3_392,
     "model": 3_564,
-    "show": 4_158,
+    "show": 4_146,
     "symmetry": 1_360,
-    "words": 968,
+    "words": 958,
     "workspace": 1_488,
 }
 """Most lines of each room; a room that is not listed may have none."""

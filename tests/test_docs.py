@@ -167,8 +167,7 @@ def test_every_finding_is_explained() -> None:
         assert severity == one.severity
         assert means.endswith(".")
         assert advice == f"{one.remedy}." if one.remedy and "{" not in one.remedy else advice
-    elsewhere = {"not-converged", "not-corrected", "residuals-too-large"}  # said by the report
-    elsewhere |= {"chi2-too-large", "chi2-too-small", "unknown-frame"}  # codes made by choice
+    elsewhere = {"chi2-too-large", "chi2-too-small", "unknown-frame"}  # codes made by choice
     elsewhere |= {"photos-shifted", "photos-turned", "board-mirrored", "boards-exchanged"}
     elsewhere |= {"board-scale"}
     constants = (node for node in nodes_of_the_source() if isinstance(node, ast.Constant))

@@ -1,9 +1,8 @@
-"""How far targets are missed at held-out rows: intervals by poses, terms and arms included."""
+"""How far targets are missed at held-out rows: terms and arms included."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,25 +16,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.promise import misses_of
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import parse_terms
-from pincal.calibration.validation import missed
 from pincal.show.misses import errors_at
-
-
-def missed_by(values: np.ndarray, places: list[str]) -> Any:
-    """Return how far a target is missed, by as much in the fit as held out, at named poses."""
-    return missed("platform", "m", values, values, np.array(places))
-
-
-def test_intervals_are_of_poses_not_rows() -> None:
-    """Each pose repeated ten times: no narrower than once."""
-    values = np.abs(np.random.default_rng(0).standard_normal(40))
-    once, repeated = missed_by(values, [str(i) for i in range(40)]), np.repeat(values, 10)
-    often = missed_by(repeated, [str(i) for i in range(40) for _ in range(10)])
-    assert once.poses == often.poses == 40
-    assert often.rms_ends == pytest.approx(once.rms_ends)
-    narrow = missed_by(repeated, [str(i) for i in range(400)])
-    widths = [np.ptp(one.rms_ends) for one in (narrow, often)]
-    assert widths[0] == pytest.approx(widths[1] / np.sqrt(10), rel=0.1)
 
 
 def planar(noise: pincal.Noise, verified: int = 0, **options: bool) -> pincal.CalibrationResult:
@@ -98,18 +79,6 @@ def test_an_unknown_frame_is_fitted_to_the_nominal_machine() -> None:
 
 
 @pytest.mark.slow
-def test_intervals_cover_the_true_root_mean_square() -> None:
-    """Of 40 poses, 400 draws: 90 to 97 %, as percentile intervals of so few do."""
-    draw, places = np.random.default_rng(1), [str(i) for i in range(40)]
-    covered = 0
-    for _ in range(400):
-        values = np.linalg.norm(draw.standard_normal((40, 3)), axis=1)
-        one = missed_by(values, places)
-        covered += one.rms_ends[0] <= np.sqrt(3.0) <= one.rms_ends[1]
-    assert 0.90 <= covered / 400 <= 0.97
-
-
-@pytest.mark.slow
 def test_positions_of_an_arm_are_missed_in_mm() -> None:
     """Positions alone, in an unknown frame: by the noise, mean and root mean square of a ball's."""
     arm = loaded("ur5")
@@ -132,7 +101,6 @@ def test_positions_of_an_arm_are_missed_in_mm() -> None:
     )
     (one,) = found.targets
     assert one.rms == pytest.approx(1e-4 * np.sqrt(3.0), rel=0.25)
-    assert one.rms_ends[0] < one.rms < one.rms_ends[1]
     assert found.position == (pytest.approx(one.fit), pytest.approx(one.rms))
 
 
@@ -170,4 +138,3 @@ def test_held_out_rows_go_on_from_the_fit() -> None:
         [value for value in asdict(one).values() if isinstance(value, float)] for one in (again, on)
     ]
     np.testing.assert_allclose(*numbers, rtol=1e-9)
-    np.testing.assert_allclose(again.targets[0].rms_ends, on.targets[0].rms_ends, rtol=1e-9)

@@ -169,9 +169,6 @@ COMMON: dict[str, Any] = {
 }
 #: Values of each code, the finding's rows and parameters, and what must be said of them.
 SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = {
-    "not-converged": ({"message": "no step is left"}, (), (), "did not converge: no step is left"),
-    "not-corrected": ({"excess": 100.0}, (), (), "no accuracy can be stated: residuals are 100 times as large as the noise given, and hardly decreased"),
-    "residuals-too-large": ({"excess": 4.0}, (), (), "no accuracy can be stated: residuals are 4 times"),
     "no-noise": ({}, (), (), "residuals are mere rounding errors: real measurements have noise"),
     "noise-estimated": ({"position": 1e-4, "orientation": None, "reading": 0.0, "units": ["rad"], "pixel": None}, (), (), "0.1 mm in position, readings exact"),
     "chi2-too-large": ({"chi2": 4.0, "dof": 30, "source": "given"}, (), (), "reduced χ² is 4 where 1 is expected: the noise is larger than given, or the model is incomplete; the uncertainties assume that noise"),

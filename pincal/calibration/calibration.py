@@ -46,12 +46,6 @@ class Calibration:
         mechanism, data = self.mechanism, self.measurements
         if not len(data):
             raise MeasurementError("there are no measurements; give a row for each measured pose")
-        expected = (len(data), mechanism.platform.dof), (len(data), len(mechanism.reading_names))
-        if (data.poses.shape, data.readings.shape) != expected:
-            raise MeasurementError(
-                f"poses {data.poses.shape} and readings {data.readings.shape} do not fit "
-                f"{mechanism.name!r}; expected {expected[0]} and {expected[1]}"
-            )
         if np.isinf(data.poses).any() or np.isinf(data.readings).any():
             raise MeasurementError("a measured pose or reading is infinite")
         known = mechanism.followed - (set() if mechanism.weighs else set(mechanism.loaded))

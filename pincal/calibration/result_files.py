@@ -120,7 +120,7 @@ def _converter() -> Converter:
 _CONVERTER = _converter()
 
 
-FORMAT = 6
+FORMAT = 7
 REPRODUCED = 1e-9
 """Largest difference of reported residuals from the saved machine's, of its size and [rad]."""
 _REMEDY = "calibrate the measurements again, or take a copy that is whole"
@@ -347,9 +347,6 @@ def load_result(folder: str | Path) -> CalibrationResult:
     converter.register_structure_hook(Mechanism, lambda *_: nominal)
     try:
         with warnings.catch_warnings(action="error"):
-            measured = contents["data"]["calibration"]["measurements"]
-            if not measured.get("covariances", True):  # none were given to an older version
-                del measured["covariances"]
             result = converter.structure(contents["data"], CalibrationResult)
             parameters = [(p.id, p.unit) for leg in result.legs for p in leg.parameters]
             if parameters != [(p.id, p.unit) for p in nominal.parameters]:

@@ -156,9 +156,7 @@ class Missed:
     """Root mean square at held-out rows."""
     largest: float
     """Largest error at held-out rows."""
-    rms_ends: tuple[float, float]
-    """95 % interval of the root mean square by a bootstrap of poses; infinite for a single pose."""
-    limit: float = np.inf
+    limit: float
     """95 % limit of the root mean square if noise and model are right."""
 
 

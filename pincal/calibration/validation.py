@@ -3,9 +3,7 @@
 Held-out rows are predicted like rows of the fit and whitened by their noise; with the parameters'
 uncertainty their residuals r have the covariance 1 + J C Jᵀ. An excess over the fit's own χ² says
 that the model follows its rows more closely than the machine. Errors of targets are those of the
-calibrated machine at its readings against the measurements, noise included. Intervals are by a
-bootstrap of poses (A. C. Davison and D. V. Hinkley 1997), since rows of one pose are one piece of
-evidence.
+calibrated machine at its readings against the measurements, noise included.
 """
 
 from collections.abc import Sequence
@@ -42,7 +40,7 @@ MISSES = 10.0
 """Root mean square residual of a fit, in σ, above which it is no fit, and is not validated."""
 Predicted = list[tuple[Fit, Index, Linear]]
 """Fits, rows held out of them, and residuals and derivatives at these rows."""
-_DRAWN, _CHOSEN = 1000, 2000  # draws of errors in each fold; bootstrap samples of poses
+_DRAWN = 1000  # draws of errors in each fold
 
 
 @one_thread()
@@ -146,10 +144,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         findings=(worse,) if is_worse else (),
         sigma=sigma,
         targets=tuple(
-            replace(
-                missed(*target, values, misses[target], places),
-                limit=_limit(drawn, target, variances),
-            )
+            _missed(target, values, misses[target], places, _limit(drawn, target, variances))
             for target, values in at_fit.items()
             if np.isfinite(misses[target]).any()
         ),
@@ -368,29 +363,18 @@ def least_of_folds(chances: Sequence[float]) -> float:
     return float(bdtrc(0, len(chances), min(chances)))
 
 
-def missed(target: str, unit: str, fitted: Array, held: Array, places: Array) -> Missed:
+def _missed(
+    target: tuple[str, str], fitted: Array, held: Array, places: Array, limit: float
+) -> Missed:
     """Return the errors of a target by its errors (N,) at rows of the fit and at held-out rows."""
     known = np.isfinite(held)
-    values, (_, pose) = held[known], np.unique(places[known], return_inverse=True)
+    values = held[known]
     return Missed(
-        target=target,
-        unit=unit,
-        poses=int(pose.max()) + 1,
+        *target,
+        poses=len(np.unique(places[known])),
         fit=float(np.sqrt(np.nanmean(fitted**2))),
         mean=float(values.mean()),
         rms=float(np.sqrt((values**2).mean())),
         largest=float(values.max()),
-        rms_ends=_rms_interval(values, pose),
+        limit=limit,
     )
-
-
-def _rms_interval(values: Array, pose: Index) -> tuple[float, float]:
-    """Return the interval of the root mean square of values (N,) by a bootstrap of poses (N,)."""
-    sums = np.stack([np.bincount(pose, values**2), np.bincount(pose)])
-    poses = sums.shape[1]
-    if poses < 2:
-        return 0.0, np.inf
-    chosen = np.random.default_rng(0).multinomial(poses, np.full(poses, 1.0 / poses), _CHOSEN)
-    squares, counts = sums @ chosen.T
-    low, high = np.quantile(squares / counts, (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)).tolist()
-    return low**0.5, high**0.5

@@ -23,15 +23,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model import EVERY_LEG, Plan
 from pincal.model.checks import counted
-from pincal.show.style import (
-    ACTIVE,
-    IDENTIFIED,
-    MARKERS,
-    RASTER_FROM,
-    drawing,
-    figure_bytes,
-    save_figure,
-)
+from pincal.show import style
 from pincal.show.view.bodies import Shape
 from pincal.show.view.scene import Scene, scene
 from pincal.types import Array
@@ -56,9 +48,9 @@ class Picture:
             legend += _ghosts(axes, scene)
         paint(axes, scene.body.shapes, V)
         if scene.magnified:
-            paint(axes, scene.magnified.shapes, V, IDENTIFIED)
-            legend.append(_dot(IDENTIFIED, f"identified, errors × {scene.magnify:g}"))
-        legend.append(_dot(ACTIVE, "driven"))
+            paint(axes, scene.magnified.shapes, V, style.IDENTIFIED)
+            legend.append(_dot(style.IDENTIFIED, f"identified, errors × {scene.magnify:g}"))
+        legend.append(_dot(style.ACTIVE, "driven"))
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         axes.set_axis_off()
         links = scene.body.skeletons()[0] @ V[:2].T
@@ -84,7 +76,7 @@ class Picture:
         """Return the picture as a new figure."""
         width, height = np.ptp(self._extent, axis=0)
         inches = _LEGEND + np.clip(_WIDTH * height / width, *_HEIGHTS)
-        with drawing():
+        with style.drawing():
             figure = Figure(figsize=(_WIDTH, float(inches)), layout="constrained")
             self.draw(figure.subplots())
         return figure
@@ -98,10 +90,10 @@ class Picture:
             FileError: the name ends otherwise, or the file exists and ``force`` is not set, or
                 the file cannot be written.
         """
-        return save_figure(self.figure(), path, force=force)
+        return style.save_figure(self.figure(), path, force=force)
 
     def _repr_png_(self) -> bytes:
-        return figure_bytes(self.figure(), "png")
+        return style.figure_bytes(self.figure(), "png")
 
 
 def picture(
@@ -147,9 +139,11 @@ def _ghosts(axes: Axes, scene: Scene) -> list[Line2D]:
     V = scene.axes[:2].T
     faint = float(np.clip(8 / len(scene.plan.poses), 0.12, 0.5))
     legend = []
-    for (name, colour, points, lines), marker in zip(scene.by_set(), cycle(MARKERS), strict=False):
+    for (name, colour, points, lines), marker in zip(
+        scene.by_set(), cycle(style.MARKERS), strict=False
+    ):
         ghosts = LineCollection(list(lines @ V), colors=colour, lw=0.7, alpha=faint, zorder=0.5)
-        ghosts.set_rasterized(len(lines) > RASTER_FROM)  # a vector picture stays small
+        ghosts.set_rasterized(len(lines) > style.RASTER_FROM)  # a vector picture stays small
         axes.add_collection(ghosts)
         axes.plot(*(points @ V).T, marker, ms=3, color=colour, zorder=0.6)
         owner = f" for {shortened(name)}" if name not in ("", EVERY_LEG) else ""

@@ -12,14 +12,8 @@ from pincal.design.select import Selection
 from pincal.estimation.observability.identifiable import NEGLIGIBLE
 from pincal.model import ORIGIN, Mechanism
 from pincal.model.checks import counted, listed
-from pincal.show.misses import (
-    WorkspaceErrors,
-    camera_misses,
-    effects,
-    hand_eye_misses,
-    observed_groups,
-    readings_exact,
-)
+from pincal.show import misses
+from pincal.show.misses import WorkspaceErrors
 from pincal.symmetry.detect import SymmetryGroup
 from pincal.symmetry.shapes import no_symmetries
 from pincal.words.numbers import SMALL, STORED, VALUES, chance, number, shown_in, uncertainty
@@ -203,7 +197,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> list[T
             rows.setdefault("calibrated", {})[unit] = shown
     if missed:
         rows |= [_held_out_row(result)]
-        by_hand_eye = hand_eye_misses(result).items()
+        by_hand_eye = misses.hand_eye_misses(result).items()
         rows["held-out photos by hand–eye"] = {u: number(size, u) for u, size in by_hand_eye}
     units = dict.fromkeys([*errors.expected.units, *missed])
     heads = ["", *(f"{ERRORS[unit]} [{SMALL[unit]}]" for unit in units)]
@@ -248,7 +242,7 @@ def held_out_errors(result: CalibrationResult) -> dict[str, float]:
 
 def parameters_table(result: CalibrationResult) -> Table:
     """Return identified parameters with 95 % intervals, by effect on the platform."""
-    moved, unit = effects(result)
+    moved, unit = misses.effects(result)
     least = _SEEN * max(moved.values(), default=0.0)
     ids = sorted((id_ for id_ in moved if moved[id_] > least), key=lambda id_: -moved[id_])
     rows = [
@@ -291,13 +285,13 @@ def outside_table(result: CalibrationResult) -> Table:
 
 def residuals_table(result: CalibrationResult) -> Table:
     """Return RMS residuals of legs, unless readings are exact, and of the measured platform."""
-    exact = readings_exact(result)
+    exact = misses.readings_exact(result)
     legs, ranks = ([], []) if exact else (result.legs, ["rank", "condition:.3g"])
     rows = [
         (*_sizes(leg), Cell(leg.rank, f"{leg.rank} of {len(leg.parameters)}"), leg.condition)
         for leg in legs
     ]
-    rows += [(*_sizes(group), *(None for _ in ranks)) for group in observed_groups(result)]
+    rows += [(*_sizes(group), *(None for _ in ranks)) for group in misses.observed_groups(result)]
     caption = "σ: noise alone; condition: of the whitened and scaled identification Jacobian"
     if exact:
         caption = "Readings are exact: legs close by construction, and residuals are the platform's"
@@ -315,7 +309,7 @@ def _sizes(group: ResidualGroup) -> tuple[Value, ...]:
 def cameras_table(result: CalibrationResult) -> Table | None:
     """Return residuals of camera points, the largest first; None if no camera measured."""
     rows = list[list[Value]]()
-    for camera, points, _, missed, _, metres in camera_misses(result):
+    for camera, points, _, missed, _, metres in misses.camera_misses(result):
         sizes = np.linalg.norm(missed, axis=1)
         each = {name: np.flatnonzero(points == name) for name in dict.fromkeys(points.tolist())}
         worst = sorted(each.items(), key=lambda of_point: -np.square(sizes[of_point[1]]).mean())

@@ -11,22 +11,12 @@ from typing import Any
 from pincal.finding import Finding
 from pincal.words.wording import Wording, filled
 
-_EXCESS = "no accuracy can be stated: residuals are {excess|g} times as large as the noise given"
-_FIRST = "See the other warnings first"
 _GIVE_NOISE = "Give the noise (--noise-position, --noise-orientation, --noise-reading)"
 _SOURCE = "{'repeated rows show' if source == 'repeats' else 'given'}"
 _CHI2 = "reduced χ² is {chi2|rounded(3)} where 1 is expected: the noise is "
 _ASSUMED = "the uncertainties assume that noise"
 
 FINDINGS: dict[str, Wording] = {
-    "not-converged": Wording(
-        "the fit did not converge: {message}",
-        "Check the units and the working mode; give a better nominal mechanism, more poses, or a "
-        "robust loss (--loss reject)",
-        "error",
-    ),
-    "not-corrected": Wording(_EXCESS + ", and hardly decreased", _FIRST, "error"),
-    "residuals-too-large": Wording(_EXCESS, _FIRST, "error"),
     "no-noise": Wording(
         "residuals are mere rounding errors: real measurements have noise",
         _GIVE_NOISE,
