@@ -7,6 +7,8 @@ are the swivel; a revolute joint by θ about the pulley's middle; a slide that f
 r and takes back the wrapped length; and the line, whose position is the whole length.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 from itertools import product
 from math import atan2, hypot, pi, sqrt

@@ -5,6 +5,8 @@ and limits of joints; joints, placements, sensors and labels are those of the bu
 Cable robots and arms are built from numbers.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping
 from dataclasses import replace

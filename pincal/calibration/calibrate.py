@@ -6,6 +6,8 @@ corrected that explains the misfit; without rows that do not fit; the same in an
 with an unknown target as well; and of a machine that is known only roughly.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

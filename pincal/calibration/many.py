@@ -5,6 +5,8 @@ items. So the table is the same for any number of workers (joblib's processes, D
 and rows that it already holds are not made again.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

@@ -7,6 +7,8 @@ bound. For a single leg with measured poses the rows are e, whitened by the nois
 from pose and readings.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,5 +1,7 @@
 """From a mechanism to a plan that can be driven: candidates, the choice among them, the order."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

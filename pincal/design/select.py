@@ -14,6 +14,8 @@ Configurations for all legs together are chosen by the rows of the best estimato
 determines are left out. Each choice has its efficiency against a bound that no choice exceeds.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -6,6 +6,8 @@ freedoms, they cannot all obey the nominal mechanism: such a machine is moved to
 with every leg taut, and its readings are taken there.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

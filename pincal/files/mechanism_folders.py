@@ -1,5 +1,7 @@
 """A mechanism folder: ``mechanism.yaml``, one URDF per leg, ``platform.urdf``."""
 
+from __future__ import annotations
+
 import logging
 import os
 from difflib import get_close_matches

@@ -8,6 +8,8 @@ camera at (R, t) in the frame of what holds that, it is at
 and its lens makes pixels of that. Camera, lens and markers may each be known, or not, or roughly.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property

@@ -1,5 +1,7 @@
 """Configurations without collisions of a robot's bodies, by the geometry in its URDF."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,6 +5,8 @@ reach only a surface of poses. Plans for such mechanisms have readings, and forw
 the poses.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple

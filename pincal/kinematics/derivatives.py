@@ -4,6 +4,8 @@ A closed leg satisfies e = Nᵀ c(x, θ(ψ), p; φ) = 0. Its derivatives are by 
 readings ψ; those of the predicted reading, the identification Jacobian, are −(∂e/∂ψ)⁻¹ ∂e/∂φ.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -5,6 +5,8 @@ twist, by least squares of the gaps [m] if there are more equations than freedom
 converge are searched again, with readings that move from home in steps.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

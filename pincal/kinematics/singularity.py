@@ -12,6 +12,8 @@ corner, where r cables are at a limit, or at several corners, whose mean is take
 computed for many poses at once (a linear program for each pose gives the same).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,5 +1,7 @@
 """Kinematic parameters: each has an owner, a name, and one id that is used everywhere."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from fnmatch import fnmatchcase

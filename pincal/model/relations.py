@@ -12,6 +12,8 @@ the radius: a point by x, y and z, a plane by z, a line by x and y, a circle by 
 r. The target's position in another row is a feature, too: the distance from it is r, a height z.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable

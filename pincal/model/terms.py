@@ -6,6 +6,8 @@ an influence quantity (temperature, time, side of approach, load), scaled so tha
 in the joint's own unit. The model is linear in the unknowns.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal

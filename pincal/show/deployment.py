@@ -1,5 +1,7 @@
 """Folders for controllers of calibrated machines: kinematics, a data sheet, instructions."""
 
+from __future__ import annotations
+
 import logging
 import re
 from contextlib import suppress

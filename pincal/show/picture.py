@@ -4,6 +4,8 @@ Planar mechanisms are seen from above, others from the side, in parallel project
 dark outlines are painted from the farthest to the nearest.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path

@@ -6,6 +6,8 @@ prismatic one D a. In canonical form axes have a positive largest component, and
 about a joint's own axis is part of its zero (which gives the γ of the 3-RRR paper's Eq. 19).
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial

@@ -4,6 +4,8 @@ A reachable workspace needs any orientation, a total-orientation or dexterous on
 a position is decided at the first orientation that settles it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

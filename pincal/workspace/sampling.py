@@ -3,6 +3,8 @@
 A pose counts if it meets the criteria and is connected with home by poses that meet them.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace

@@ -8,6 +8,8 @@ held-out rows. The simplest model within one standard error of the best is chose
 al., Classification and Regression Trees, 1984): no other term is kept, however significant it is.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace

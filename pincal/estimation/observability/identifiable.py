@@ -7,6 +7,8 @@ parameters out of the noise. So each direction in parameter space must carry cle
 information than comes from the noise of the poses, drawn once more.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
