@@ -14,20 +14,20 @@ from tools.counts import count, count_revision, main  # noqa: E402
 
 LINES = {
     "": 256,
-    "architectures": 612,
-    "calibration": 6_829,
+    "architectures": 616,
+    "calibration": 6_835,
     "cli": 2_709,
-    "design": 2_348,
-    "estimation": 4_596,
-    "files": 3_369,
+    "design": 2_356,
+    "estimation": 4_598,
+    "files": 3_371,
     "formats": 3_445,
-    "instruments": 1_537,
-    "kinematics": 3_392,
-    "model": 3_564,
-    "show": 4_146,
-    "symmetry": 1_360,
+    "instruments": 1_539,
+    "kinematics": 3_402,
+    "model": 3_570,
+    "show": 4_150,
+    "symmetry": 1_345,
     "words": 958,
-    "workspace": 1_488,
+    "workspace": 1_492,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {

@@ -14,11 +14,13 @@ import pytest
 from marks import quick
 from measured import workspace
 from rich.console import Console
+from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.show.tables import symmetry_table
 from pincal.symmetry.carry import canonical, carry
+from pincal.symmetry.elements import isometry
 
 ROBOTS = Path(__file__).parents[1] / "robots"
 
@@ -179,6 +181,25 @@ def test_carried_leg_reads_the_same_at_carried_poses(mechanism: pincal.Mechanism
         after = pincal.inverse(other, element.poses(platform, poses)).readings
         assert np.isfinite(before).all()
         np.testing.assert_allclose(after, before, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["6UPS", "6RUS"])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_leg_is_carried_by_any_isometry(name: str, side: float) -> None:
+    """Base and platform turned, mirrored and shifted at random: readings follow, numbers stay."""
+    mechanism, rng = pincal.load_mechanism(name), np.random.default_rng(7)
+    turns = side * Rotation.random(2, rng=rng).as_matrix()
+    element = pincal.Element.of(*map(isometry, turns, rng.uniform(-1.0, 1.0, (2, 3))))
+    legs = tuple(carry(leg, element) for leg in mechanism.legs)
+    home = element.poses(mechanism.platform, np.array([mechanism.platform.home]))[0]
+    platform = replace(mechanism.platform, home=tuple(home.tolist()))
+    poses = pincal.sample_configurations(mechanism, 10).poses
+    before = pincal.inverse(mechanism, poses).readings
+    carried = replace(mechanism, legs=legs, platform=platform)
+    after = pincal.inverse(carried, element.poses(platform, poses)).readings
+    np.testing.assert_allclose(after, before, atol=1e-12)
+    sizes = [[np.abs(leg.nominal) for leg in machine.legs] for machine in (mechanism, carried)]
+    np.testing.assert_allclose(sizes[1], sizes[0], atol=1e-12)
 
 
 def test_a_leg_that_misses_home_is_refused() -> None:

@@ -20,106 +20,118 @@ from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
 from pincal.model import LOAD, Joint, Leg, Mechanism, Placement, Platform, Sensor
 from pincal.model.checks import ROUNDING
-from pincal.model.placement import Coordinate, Value, floats
-from pincal.symmetry.elements import Element, wrapped
+from pincal.model.placement import Coordinate, Value, floats, placement_of
+from pincal.symmetry.elements import Element, isometry, wrapped
 from pincal.types import Array
 from pincal.words.numbers import listed
 
 LOCAL_MIRROR = np.diag([1.0, -1.0, 1.0])
 #: Components of a point that each kind of coordinate sets.
 _GIVES = {"x": "x", "y": "y", "z": "z", "polar": "xy", "spherical": "xyz"}
+_SIX = ("x", "y", "z", "rz", "ry", "rx")  # coordinates of any place, in order
 
 
-def _on_body(
-    p: Placement,
-    isometry: Array,
-    constant: Array,
-    old: dict[str, float],
-    new: dict[str, float],
-    context: str,
-) -> tuple[Placement, Array]:
-    """Return a placement on base or platform after the body's isometry, and its constant part.
+class _Carrier:
+    """An element that carries the parts of a leg; ``new`` collects the values of parameters."""
 
-    The isometry and constants have shape (4, 4). ``old`` are the parameters before; ``new`` is set.
-    """
-    result = Placement(_moved_coordinates(p.coordinates, isometry, old, new, context))
-    moved = isometry @ p.displacement(old) @ constant
-    if np.linalg.det(isometry[:3, :3]) < 0.0:
-        moved[:3, :3] = moved[:3, :3] @ LOCAL_MIRROR
-    residual = np.linalg.inv(result.displacement(new)) @ moved
-    if not p.turns:  # exact
-        residual[:3, :3] = moved[:3, :3]
-    if p.coordinates and not constant[:3, 3].any() and not result.corrects(new):
-        residual[:3, 3] = 0.0
-    return result, residual
+    def __init__(self, leg: Leg, element: Element) -> None:
+        self.leg, self.element = leg, element
+        self.old, self.new = leg.nominal_by_name, leg.nominal_by_name
+        self.local = LOCAL_MIRROR if element.reflection else np.eye(3)
+        self.on_base = {leg.joints[i].name for i in np.flatnonzero(np.less(leg.carriers, 0))}
 
+    def joint(self, joint: Joint, closes: object = None) -> Joint:
+        """Return a carried joint of the leg, or, if ``closes`` is given, a platform point."""
+        constant = joint.placement.rest(self.old, self.leg.name).copy()
+        local = self.local
+        if closes or joint.name in self.on_base:
+            moved, residual = self.on_body(joint.placement, constant, 1 if closes else 0)
+            if closes == "point":  # the orientation of a point has no meaning
+                residual[:3, :3] = constant[:3, :3]
+        else:
+            moved, residual = Placement(self.within(joint.placement.coordinates)), constant
+            residual[:3, :3] = local @ constant[:3, :3] @ local
+            residual[:3, 3] = local @ constant[:3, 3]
+        axis = local @ np.array(joint.axis)
+        if joint.kind == "revolute":
+            axis = np.linalg.det(local) * axis
+        return replace(joint, placement=moved.at(self.new, residual), axis=floats(axis))
 
-def _moved_coordinates(
-    coordinates: tuple[Coordinate, ...],
-    G: Array,
-    old: dict[str, float],
-    new: dict[str, float],
-    context: str,
-) -> tuple[Coordinate, ...]:
-    """Return the coordinates of a point on base or platform after the body's isometry, (4, 4)."""
-    named = [any(isinstance(value, str) for value in c.values) for c in coordinates]
-    first = named.index(True) if True in named else 0
-    frame, free = coordinates[:first], coordinates[first:]
-    if not any(c.turns for c in frame) and not {"polar", "spherical"} & {c.kind for c in free}:
-        frame, free = (), coordinates  # only turns and azimuths need leading constants as a frame
-    if frame:
-        to_base = Placement(frame).displacement(old)
-        G = np.linalg.inv(to_base) @ G @ to_base
-    moved = _moved_point(free, G, old, context)
-    result = list(frame)
-    for c in free:
-        values = _moved_values(c, [_number(value, old) for value in c.values], moved, G, context)
-        after = zip(c.values, values, strict=True)
-        result.append(Coordinate(c.kind, tuple(_set(value, to, new) for value, to in after)))
-    return tuple(result)
+    def on_body(self, p: Placement, constant: Array, body: int) -> tuple[Placement, Array]:
+        """Return a placement on base (0) or platform (1), and its constant part, (4, 4)."""
+        G = self.element.bodies[body]
+        result = Placement(self.moved(p.coordinates, G))
+        moved = G @ p.displacement(self.old) @ constant
+        moved[:3, :3] = moved[:3, :3] @ self.local
+        residual = np.linalg.inv(result.displacement(self.new)) @ moved
+        if not result.turns:  # exact
+            residual[:3, :3] = moved[:3, :3]
+        if p.coordinates and not constant[:3, 3].any() and not result.corrects(self.new):
+            residual[:3, 3] = 0.0
+        return result, residual
 
+    def moved(self, coordinates: tuple[Coordinate, ...], G: Array) -> tuple[Coordinate, ...]:
+        """Return the coordinates of a place on base or platform after the body's isometry G.
 
-def _moved_point(
-    free: tuple[Coordinate, ...], G: Array, old: dict[str, float], context: str
-) -> Array:
-    """Return the image under G, shape (4, 4), of the point that coordinates give, shape (3,)."""
-    if turned := [c.kind for c in free if c.turns and not (c.kind == "rz" and c is free[-1])]:
-        raise SymmetryError(
-            f"{context} cannot carry a placement on the base with a rotation ({turned[0]}); "
-            "give the point by polar, spherical or x, y, z, and a turn about z last, by rz"
-        )
-    point = sum((c.displacement(old)[:3, 3] for c in free), np.zeros(3))
-    size = float(np.abs(point).max())
-    moved = G[:3, :3] @ point + (G[:3, 3] if size else 0.0)  # corrections stay zero
-    moved[np.abs(moved) <= ROUNDING * (size + np.abs(G[:3, 3]).max())] = 0.0
-    needed = {letter for letter, component in zip("xyz", moved, strict=True) if component}
-    missing = sorted(needed.difference(*(_GIVES.get(c.kind, "") for c in free)))
-    if free and missing:
-        raise SymmetryError(f"{context} needs a coordinate {missing[0]!r} in this placement")
-    return moved
+        An isometry that they cannot express becomes constants in front of them.
+        """
+        point = sum((c.displacement(self.old)[:3, 3] for c in coordinates), np.zeros(3))
+        size = float(np.abs(point).max())
+        image = G[:3, :3] @ point + (G[:3, 3] if size else 0.0)  # corrections stay zero
+        image[np.abs(image) <= ROUNDING * (size + np.abs(G[:3, 3]).max())] = 0.0
+        if not _express(coordinates, image, G):
+            frame = placement_of(G @ isometry(self.local))
+            values = zip(_SIX, (*frame.xyz, *frame.rpy[::-1]), strict=True)
+            constants = (Coordinate(kind, (value,)) for kind, value in values if value)
+            return (*constants, *self.within(coordinates))
+        result = []
+        for c in coordinates:
+            pairs = zip(c.values, self.values(c, image, G), strict=True)
+            result.append(Coordinate(c.kind, tuple(_set(v, to, self.new) for v, to in pairs)))
+        return tuple(result)
 
-
-def _moved_values(
-    c: Coordinate, values: list[float], point: Array, G: Array, context: str
-) -> list[float]:
-    """Return a coordinate's values after G, shape (4, 4), took its point to ``point``."""
-    if c.kind in ("x", "y", "z"):
-        return [float(point["xyz".index(c.kind)])]
-    if not (G[:2, 2].any() or G[2, :2].any() or G[:3, 3].any()):
+    def values(self, c: Coordinate, image: Array, G: Array) -> list[float]:
+        """Return a coordinate's values after G took its point to ``image``."""
+        if c.kind in ("x", "y", "z"):
+            return [float(image["xyz".index(c.kind)])]
+        values = [_number(value, self.old) for value in c.values]
         # azimuths follow exactly, also of points on the axis
-        turn, side = float(np.arctan2(G[1, 0], G[0, 0])), np.sign(np.linalg.det(G[:2, :2]))
-        moved = [*values[:-1], wrapped(turn + float(side) * values[-1])]
+        turn, side = float(np.arctan2(G[1, 0], G[0, 0])), float(np.sign(np.linalg.det(G[:2, :2])))
+        values[-1] = wrapped(turn + side * values[-1])
         if c.kind == "spherical" and G[2, 2] < 0.0:
-            moved[1] = np.pi - moved[1]
-        return moved
-    if c.turns:
-        raise SymmetryError(f"{context} turns more than the coordinate {c.kind!r} can express")
-    side = np.sign(values[0]) or 1.0  # sign of the radius
-    x, y, z = side * point
-    level, azimuth = np.hypot(x, y), float(np.arctan2(y, x))
-    if c.kind == "polar":
-        return [float(side * level), azimuth]
-    return [float(side * np.linalg.norm(point)), float(np.arctan2(level, z)), azimuth]
+            values[1] = np.pi - values[1]
+        return values
+
+    def within(self, coordinates: tuple[Coordinate, ...]) -> tuple[Coordinate, ...]:
+        """Return coordinates within the leg, which a reflection mirrors."""
+        if not self.element.reflection:
+            return coordinates
+        # the azimuth of polar and spherical coordinates changes sign
+        return tuple(
+            c
+            if c.kind in ("x", "z", "ry")
+            else Coordinate(c.kind, (*c.values[:-1], _negative(c.values[-1], self.old, self.new)))
+            for c in coordinates
+        )
+
+
+def _express(coordinates: Sequence[Coordinate], image: Array, G: Array) -> bool:
+    """Return whether coordinates express a place after an isometry G took its point to an image.
+
+    Points in x, y, z go anywhere; azimuths, and a last turn about z, follow isometries that keep
+    the line z.
+    """
+    kinds = {c.kind for c in coordinates}
+    if any(c.turns for c in coordinates[:-1]) or {"rx", "ry"} & kinds:
+        return False
+    needed = {letter for letter, component in zip("xyz", image, strict=True) if component}
+    keeps_z = not (G[:2, 2].any() or G[2, :2].any() or G[:3, 3].any())
+    enough = needed.issubset("".join(_GIVES.get(kind, "") for kind in kinds))
+    return enough and (keeps_z or kinds <= {"x", "y", "z"})
+
+
+def _number(value: Value, parameters: dict[str, float]) -> float:
+    return parameters[value] if isinstance(value, str) else value
 
 
 def _set(value: Value, target: float, new: dict[str, float]) -> Value:
@@ -131,6 +143,11 @@ def _set(value: Value, target: float, new: dict[str, float]) -> Value:
     return target
 
 
+def _negative(value: Value, old: dict[str, float], new: dict[str, float]) -> Value:
+    """Return minus a constant; for a parameter set minus its value and return the name."""
+    return _set(value, -_number(value, old), new)
+
+
 def carry(leg: Leg, element: Element) -> Leg:
     """Return a leg carried by an element, in canonical form.
 
@@ -138,44 +155,23 @@ def carry(leg: Leg, element: Element) -> Leg:
     a reflection mirrors the geometry.
 
     Raises:
-        SymmetryError: the coordinates of a placement cannot express the carried leg, or parameters
-            have terms.
+        SymmetryError: parameters have terms.
     """
     if varying := [parameter for parameter, term in leg.terms if term.of != LOAD]:
         raise SymmetryError(
             f"{leg.name}: {listed(varying)} have terms, which the {element} may change; carry the "
             "leg without terms, and give them to the carried legs"
         )
-    old, new = leg.nominal_by_name, dict(leg.parameters)
-    local = LOCAL_MIRROR if element.reflection else np.eye(3)
-    on_base = {leg.joints[i].name for i in np.flatnonzero(np.less(leg.carriers, 0))}
-
-    def carried(joint: Joint, closes: object = None) -> Joint:
-        """Return a carried joint of the leg, or, if ``closes`` is given, a platform point."""
-        context = f"{leg.name}, joint {joint.name!r}"
-        constant = joint.placement.rest(old, context).copy()
-        if closes or joint.name in on_base:
-            body, context = element.bodies[1 if closes else 0], f"{context}: the {element}"
-            moved, residual = _on_body(joint.placement, body, constant, old, new, context)
-            if closes == "point":  # the orientation of a point has no meaning
-                residual[:3, :3] = constant[:3, :3]
-        else:
-            coordinates = joint.placement.coordinates
-            if element.reflection:
-                coordinates = tuple(_mirrored(c, old, new) for c in coordinates)
-            moved, residual = Placement(coordinates), constant
-            residual[:3, :3] = local @ constant[:3, :3] @ local
-            residual[:3, 3] = local @ constant[:3, 3]
-        axis = local @ np.array(joint.axis)
-        if joint.kind == "revolute":
-            axis = np.linalg.det(local) * axis
-        return replace(joint, placement=moved.at(new, residual), axis=floats(axis))
-
-    joints = tuple(carried(joint) for joint in leg.joints)
-    point = carried(leg.point, leg.closes)
-    ends = tuple(end.moved(partial(carried, closes=end.closes)) for end in leg.ends)
-    parameters = tuple(new.items())
-    return canonical(replace(leg, joints=joints, point=point, ends=ends, parameters=parameters))
+    carrier = _Carrier(leg, element)
+    return canonical(
+        replace(
+            leg,
+            joints=tuple(carrier.joint(joint) for joint in leg.joints),
+            point=carrier.joint(leg.point, leg.closes),
+            ends=tuple(end.moved(partial(carrier.joint, closes=end.closes)) for end in leg.ends),
+            parameters=tuple(carrier.new.items()),
+        )
+    )
 
 
 def canonical(leg: Leg) -> Leg:
@@ -252,23 +248,6 @@ def _absorb_turn(
     return turned, sensor
 
 
-def _mirrored(c: Coordinate, old: dict[str, float], new: dict[str, float]) -> Coordinate:
-    """Return a coordinate within the leg after the local mirror."""
-    if c.kind in ("x", "z", "ry"):
-        return c
-    # the azimuth of polar and spherical coordinates changes sign
-    return Coordinate(c.kind, (*c.values[:-1], _negative(c.values[-1], old, new)))
-
-
-def _negative(value: Value, old: dict[str, float], new: dict[str, float]) -> Value:
-    """Return minus a constant; for a parameter set minus its value and return the name."""
-    return _set(value, -_number(value, old), new)
-
-
-def _number(value: Value, parameters: dict[str, float]) -> float:
-    return parameters[value] if isinstance(value, str) else value
-
-
 def generate(
     name: str,
     leg: Leg,
@@ -292,7 +271,7 @@ def generate(
 
     Raises:
         MechanismError: a leg does not close at the home pose.
-        SymmetryError: the coordinates of a placement cannot express a carried leg.
+        SymmetryError: parameters of the leg have terms.
     """
     closed = at_home(leg, platform)
 

@@ -240,13 +240,17 @@ def _first_break(fits: LegImages, element: Element, tolerance: float) -> Differe
     return None
 
 
+def _description(leg: Leg) -> tuple[object, ...]:
+    """Return what the numbers of a leg mean: names, active joints, kinds of coordinates."""
+    placements = (joint.placement for joint in (*leg.joints, *leg.points))
+    kinds = [c.kind for placement in placements for c in placement.coordinates]
+    return leg.parameter_names, leg.active, kinds
+
+
 def _named(fits: LegImages, leg: Leg, element: Element, image: Leg) -> Iterator[Difference]:
     """Yield differences of a carried leg's parameters and constants from those of its image."""
-    try:
-        carried, drawn = carry(leg, element), canonical(image)
-    except SymmetryError:  # the leg's coordinates cannot express its image
-        return
-    if carried.parameter_names != drawn.parameter_names or carried.active != drawn.active:
+    carried, drawn = carry(leg.without_terms, element), canonical(image.without_terms)
+    if _description(carried) != _description(drawn):  # the same numbers mean other places
         return
 
     def apart(value: float, unit: str) -> float:
