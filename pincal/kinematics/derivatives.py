@@ -21,6 +21,7 @@ from pincal.types import Array, Mask
 
 _STEPS = 60  # largest number of Newton steps
 _SMALL = 1e-8  # last step; Nᵀ c is off by its square
+_LAST = 4  # share of the poses, its inverse, below which those that still move go on alone
 _FAR = 1e-2  # gap over a leg's size, above which its curvature counts
 
 
@@ -37,17 +38,23 @@ def nearest_closure(
     positions, count = started(legs, matrices, known, joints), len(matrices) // len(legs)
     scales = np.repeat([closure.leg.scales[leg.passive] for closure in legs], count, axis=0)
     far_gaps = _FAR * np.repeat([closure.size for closure in legs], count)
+    moving = np.arange(len(matrices)).reshape(len(legs), count)
     for _ in range(_STEPS):
-        closed = evaluate(legs, positions, matrices)
+        rows = moving.ravel()
+        closed = evaluate(legs, positions[rows], matrices[rows])
         step = closed.passive_step()
         if leg.passive and closed.gap.shape[1] <= 3:  # of points
-            far = lengths(closed.gap) > far_gaps
+            far = lengths(closed.gap) > far_gaps[rows]
             if far.any():
                 step[far] = _curved_step(closed, far)
-        positions[:, leg.passive] += step
-        if np.abs(step / scales).max(initial=0.0) <= _SMALL:
+        positions[rows[:, None], leg.passive] += step
+        large = (np.abs(step / scales[rows]) > _SMALL).any(axis=1)
+        last = large.reshape(moving.shape).any(axis=0)
+        if not last.any():
             break
-    return closed, positions
+        if _LAST * last.sum() <= len(last):  # those that close take no more steps
+            moving = moving[:, last]
+    return closed if len(rows) == len(matrices) else evaluate(legs, positions, matrices), positions
 
 
 def _curved_step(closed: Closure, rows: Mask) -> Array:

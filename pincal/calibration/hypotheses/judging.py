@@ -231,8 +231,14 @@ def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list
     calibration, rows = case.calibration, case.rows
     data = [hypothesis.right(calibration.measurements).rows(rows) for hypothesis in hypotheses]
     calibrations = [replace(calibration, measurements=right) for right in data]
-    poses = _placed(case, calibrations)
-    return [_fit(*each) for each in zip(hypotheses, calibrations, poses, strict=True)]
+    poses, parts = _placed(case, calibrations), []
+    for corrected, matrices in zip(calibrations, poses, strict=True):
+        used = corrected.used & np.reshape(np.isfinite(matrices).all(axis=(1, 2)), (-1, 1))
+        of_used = np.flatnonzero(used.any(axis=1))
+        parts.append(corrected.leg_block(range(used.shape[1]), of_used, used[of_used]))
+    closed = _closed(parts, [T[part.data_rows] for part, T in zip(parts, poses, strict=True)])
+    fits = zip(hypotheses, calibrations, poses, parts, closed, strict=True)
+    return [_fit(*fit) for fit in fits]
 
 
 def other_side(mechanism: Mechanism, matrices: Array) -> float:
@@ -273,18 +279,42 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
     return aligned_poses
 
 
-def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> Judged:
+def _closed(blocks: Sequence[LegBlock], poses: Sequence[Array]) -> list[BlockRows]:
+    """Return the residuals of blocks of the nominal legs at poses, (N, 4, 4), in one evaluation."""
+    if not blocks:
+        return []
+    first, ends = blocks[0], np.cumsum([len(T) for T in poses])
+    block = replace(
+        first,
+        readings=np.concatenate([block.readings for block in blocks]),
+        influences={n: np.concatenate([b.influences[n] for b in blocks]) for n in first.influences},
+        data_rows=np.concatenate([block.data_rows for block in blocks]),
+        used=np.concatenate([block.used for block in blocks]),
+        sigma=np.concatenate([block.sigma for block in blocks]),
+    )
+    nominal = np.concatenate([leg.nominal for leg in block.legs])
+    with np.errstate(all="ignore"):  # wrong units may overflow
+        closed = block.evaluate(State(nominal, np.concatenate(poses)))
+    columns = [np.split(column, ends[:-1]) for column in (*closed[:4], *closed.joints)]
+    e, by_pose, by_parameter, by_measured, *joints = columns
+    by_joints = zip(*joints, strict=True)
+    return list(map(BlockRows, e, by_pose, by_parameter, by_measured, by_joints))
+
+
+def _fit(
+    hypothesis: Hypothesis,
+    calibration: Calibration,
+    matrices: Array,
+    block: LegBlock,
+    closed: BlockRows,
+) -> Judged:
     """Return the fit of each leg to corrected measurements at poses of shape (N, 4, 4)."""
     mechanism, count = calibration.mechanism, len(calibration.mechanism.legs)
-    used = calibration.used & np.reshape(np.isfinite(matrices).all(axis=(1, 2)), (-1, 1))
-    rows, counts = np.flatnonzero(used.any(axis=1)), used.sum(axis=0)
+    used, rows, counts = block.used, block.data_rows, block.used.sum(axis=0)
     (gap, stroke), bent = np.full((2, count), np.nan), np.zeros(count, dtype=int)
-    block = calibration.leg_block(range(count), rows, used[rows])
-    nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
-    with np.errstate(all="ignore"):  # wrong units may overflow
-        closed = block.evaluate(State(nominal, matrices[rows]))
+    with np.errstate(all="ignore"):
         for i in np.flatnonzero(counts > 1).tolist():
-            leg, served, of_leg = mechanism.legs[i], used[rows, i], block.leg_rows[i]
+            leg, served, of_leg = mechanism.legs[i], used[:, i], block.leg_rows[i]
             readings = calibration.measurements.readings[rows[served], mechanism.reading_columns[i]]
             deviations = (readings - np.median(readings, axis=0))[:, None]
             by_reading = closed.by_measured[served, of_leg, block.reading_columns[i]]
