@@ -56,9 +56,7 @@ def _page(rows: list[tuple[str, float, str]]) -> str:
         f"Python {platform.python_version()}, {packages}, {os.cpu_count()} cores, "
         f"{platform.machine()}.",
         "",
-        "| what | measured | wanted |",
-        "|---|---:|---|",
-        *(f"| {name} | {value:.3g} | {wanted} |" for name, value, wanted in rows),
+        *(f"- {name}: {value:.3g}{aim and f' (wanted {aim})'}" for name, value, aim in rows),
         "",
     ]
     return "\n".join(lines)

@@ -238,7 +238,7 @@ def _against(
 
     own, many = "divide and conquer", "traditional, 36 common"
     few, every = "traditional, 18 common", "its 36 for every leg"
-    weighted, literal = "its 36, whitened", "divide and conquer, unweighted O₁"
+    literal = "divide and conquer, unweighted O₁"
     verdict = compared(means[own], means[many], draws)
     holds = {"s": "holds", "l": "does not hold"}.get(verdict[0], "open")
     study.claims(
@@ -294,12 +294,7 @@ def _against(
             "and whitened, all legs together",
             "(not considered)",
             shown(BEST),
-            compared(means[BEST], means[own], draws) + " than divide and conquer",
+            compared(means[BEST], means[own], draws) + " than divide and conquer; unweighted, all "
+            "legs together give what each alone gives, as their rows share no parameters",
         ),
-    )
-    study.say(
-        f"""From the same 36 postures: each leg alone with its own, {means[own][0]:.2e}; each leg
-        with all, {means[every][0]:.2e}; weighted by their noise, {means[weighted][0]:.2e}; all
-        legs together, {means[BEST][0]:.2e}. Unweighted, all legs together give what each alone
-        gives: their rows share no parameters."""
     )

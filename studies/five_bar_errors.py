@@ -149,6 +149,7 @@ def maps(study: Study, truth: pincal.Mechanism, circle: Circle, outcomes: list[O
             "root mean square [mm]": [1e3 * float(np.sqrt((m**2).mean())) for m in found.values()],
             "largest [mm]": [1e3 * float(m.max()) for m in found.values()],
         },
+        ["largest [mm]"],
     )
     shown = {outcomes[index].way.name: found[outcomes[index].way.name] for index in _SHOWN}
     ends = 1e3 * np.concatenate(list(shown.values()))

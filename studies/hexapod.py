@@ -144,8 +144,8 @@ def _lengths(study: Study, poses: Array) -> str:
         paper's figures; Section 4 prints θa = 0.3."""
     )
     headers = ("equation", "element", *(f"L{i} [m]" for i in range(1, 7)), "off by [m]")
-    caption = "Leg lengths at the pose and its images."
-    study.table("eqs_36_to_41_lengths", caption, by_rows(headers, rows))
+    caption = "Leg lengths at the pose and its images, and how far off they are."
+    study.table("eqs_36_to_41_lengths", caption, by_rows(headers, rows), headers)
     study.say(
         f"""On 300 poses of the workspace, all {len(group.elements)} elements of D₆ permute the leg
         lengths (Eqs. 18, 33) within

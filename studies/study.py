@@ -71,10 +71,12 @@ class Study:
         self.parts.append(f"![{label}](figures/{name}.png)\n\n*{text}*")
 
     def claims(self, *rows: tuple[str, str, str, str]) -> None:
-        """Add what the paper says, what was measured, and whether they agree or why not."""
+        """Put first what the paper says, what was measured, and whether they agree or why not."""
+        details, self.parts = self.parts, []
         self.heading("Against the paper")
         columns = by_rows(("what", "paper", "measured", "verdict"), rows)
         self.table("against_the_paper", "What the paper says, and what was measured.", columns)
+        self.parts += details
 
     def page(self) -> str:
         """Return the page; it names figures and tables by paths relative to its folder."""

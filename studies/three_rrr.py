@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import pincal
 
 from . import drawing
-from .study import Study, at_most
+from .study import Study, at_most, by_rows
 from .three_rrr_errors import NOISE, asymmetry, cramer_rao, draw_maps, measure_accuracies
 from .trials import Protocol, Way, choose, paired
 
@@ -339,15 +339,18 @@ def _against(
                 verdict,
             )
         )
-    for name in list(after)[3:]:
-        alone, together = gains[name]
-        times, verdict = paired(after[name][:, 0], after[PAPERS][:, 0])
-        claims.append(
-            (
-                name,
-                "–",
-                f"gains {alone:.2f}, {together:.2f}; the paper's position error {times}",
-                verdict,
-            )
-        )
+    ways = [
+        (name, *gains[name], *paired(after[name][:, 0], after[PAPERS][:, 0]))
+        for name in list(after)[3:]
+    ]
+    best = max(ways, key=lambda way: way[2])
+    headers = ("way", "gain", "gain by axes", "the paper's position error", "verdict")
+    study.heading("Other ways")
+    study.table(
+        "other_ways",
+        f"""Gains over the paper's way, and its position error beside theirs. The best is
+        {best[0]}: the paper's error is {best[3]}.""",
+        by_rows(headers, ways),
+        headers,
+    )
     study.claims(*claims)

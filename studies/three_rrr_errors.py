@@ -124,8 +124,8 @@ def measure_accuracies(study: Study, ways: list[Way], poses: Array, count: int) 
             columns[f"{what}{name} [{unit}]"] = [
                 float(1e3 * np.percentile(v[:, place], level)) for v in after.values()
             ]
-    caption, quarters = "Errors of the platform.", [one for one in columns if "quarter" in one]
-    study.table("fig_10_accuracy", caption, columns, quarters)
+    caption = "Errors of the platform, which the figure shows."
+    study.table("fig_10_accuracy", caption, columns, list(columns))
     figure, panels = drawing.panels(2, 12, 4.6)
     for place, unit in enumerate(("position [mm]", "orientation [mrad]")):
         axes = panels[place]
