@@ -143,7 +143,7 @@ def test_rows_are_entered_by_keyboard_and_clicks(
     page.click("#undo")
     recorded(11)
     assert page.evaluate("document.documentElement.scrollWidth") == width
-    assert page.locator("#chart circle").count() == 11
+    assert page.locator("#chart circle").count() == 5  # no limit while unknowns are more
     page.click("text=parameters")
     assert "leg_1" in page.inner_text("#parameters")
     if AXE.is_file():

@@ -33,6 +33,7 @@ from pincal.design.simulate import SimulatedMachine
 from pincal.files.columns import columns_of
 from pincal.files.journal import Journal
 from pincal.show.measuring import progress, verdict_on_row
+from pincal.words.numbers import number
 
 ACCURACY = 5e-5
 
@@ -62,7 +63,7 @@ def begun(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 @pytest.mark.slow
 def test_enough_is_what_calibrate_promises_and_the_machine_keeps(tmp_path: Path) -> None:
-    """At "enough" ``pincal.calibrate`` promises it of rows.csv alone, and the truth is within."""
+    """At "enough" ``pincal calibrate`` prints the same limit, by rows.csv alone; it is kept."""
     measured = session(tmp_path / "s", 8)
     while not measured.enough and len(measured.measured) < 40:
         measured.add(bench().entry(measured.columns, measured.next_pose()[0]))
@@ -70,6 +71,10 @@ def test_enough_is_what_calibrate_promises_and_the_machine_keeps(tmp_path: Path)
     result = pincal.calibrate(bench().mechanism, measured.journal.path, noise=NOISE)
     error = errors_inside(result, measured.candidates.workspace)[1]
     assert error.limit[0] <= ACCURACY
+    measured.journal.close()
+    noise = ("--noise-position", "20um", "--noise-orientation", 2e-5, "--noise-reading", 1e-5)
+    printed = done("calibrate", "3RRR", measured.journal.path, *noise, "-o", tmp_path / "r").out
+    assert f"(95 %: ≤ {number(measured.limit, 'm')})" in printed
     true = pincal.accuracy(result.identified, bench().truth, measured.candidates.workspace)
     assert true.position <= ACCURACY < 10.0 * true.position
 
@@ -87,15 +92,27 @@ def test_next_pose_has_the_largest_determinant(begun: Session) -> None:
     assert falls == pytest.approx(1.0 - np.exp((before - max(values)) / (2 * n)), rel=1e-9)
 
 
-def test_forecast_is_that_of_a_forecast(begun: Session) -> None:
-    """With priors that say nothing the limit is that of ``pincal.forecast`` for the same poses."""
-    rows = list(range(30))
-    plan = pincal.Plan(begun.plan.poses[rows])
-    expected = pincal.forecast(begun.mechanism, plan, NOISE).platform_error(
-        begun.candidates.workspace
-    )
-    limit = begun.candidates.limit(*rows)
-    assert limit == pytest.approx(expected.limit[0], rel=0.02)
+def test_forecast_is_of_the_limit_that_calibrate_promises(begun: Session) -> None:
+    """By the nominal machine alone it is within 2 %, from the same poses, region and χ²."""
+    result = pincal.calibrate(begun.mechanism, begun.journal.path, noise=NOISE)
+    workspace = pincal.sample_configurations(begun.mechanism, 1000)
+    promised = errors_inside(result, workspace)[1].limit[0]
+    surplus = result.chi2_freedoms * (result.reduced_chi2 - 1.0)
+    assert begun.candidates.limit(begun.measured, surplus) == pytest.approx(promised, rel=0.02)
+    assert begun.limit == pytest.approx(promised, rel=1e-6)
+
+
+def test_further_poses_are_those_of_the_session_played_ahead(begun: Session) -> None:
+    """The forecast number of poses is the first at which their limit is the wanted one."""
+    design, measured = begun.candidates, begun.measured
+    rows = [*measured, *(row for row in design.course if row not in measured)]
+    for further in (1, 5, 12):
+        accuracy = design.limit(rows[: len(measured) + further])
+        assert design.missing(measured, accuracy, 0.0) == further
+        assert design.missing(measured, accuracy * 0.9999, 0.0) > further
+    assert design.missing(measured, 1e-6, 0.0) > len(begun.plan)
+    few = [row for row in design.course if row not in measured][:3]
+    assert design.limit(few) == np.inf  # fewer equations than unknowns
 
 
 def _in_radians(cells: dict[str, str]) -> None:
@@ -490,7 +507,7 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     assert "there is no pose '99'; the last is pose " in resumed.err
     assert resumed.out.startswith("row 2 is recorded: ")
     assert " 1 pose: not all parameters are determined yet" in resumed.out
-    assert "more pose" not in resumed.out  # a forecast would say nothing yet
+    assert " more poses for 0.2 mm" in resumed.out
     assert "warning: --accuracy was 0.0001 so far and is now 0.0002" in resumed.err
     assert "noise" not in resumed.err
     moved = pincal.disturb("3RRR", 1e-3, seed=1)

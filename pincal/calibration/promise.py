@@ -6,22 +6,24 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, fdtrc
+from scipy.special import chdtrc, fdtrc
 
 from pincal.calibration.calibration import Calibration
 from pincal.design.platform_error import (
     PlatformError,
     Seen,
     Unidentified,
+    moved_by_noise,
+    outside_of,
     platform_error,
     root_mean_squares,
     seen_of,
-    sizes,
+    seen_targets,
+    unnoticed,
 )
 from pincal.design.simulate import platform_errors
 from pincal.estimation.observation import Observation
 from pincal.estimation.unknowns import External
-from pincal.kinematics.batches import least_squares
 from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.forward import forward
 from pincal.model import ORIGIN, ROW, Load, Mechanism, Plan
@@ -31,7 +33,6 @@ if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
 
 _BEST_FIT = 1e-6, 1e6  # radii at which frames are aligned for positions, for orientations, [m]
-_SAME = 1e-6  # relative difference of the uncertainty of a pose by rounding
 UNEXPLAINED = 1e-4  # p-value of χ² below which the given noise is doubted
 
 
@@ -49,13 +50,6 @@ def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -
     return float(chdtrc(degrees_of_freedom, degrees_of_freedom * chi2))
 
 
-def unnoticed(chi2: float, degrees_of_freedom: float) -> float:
-    """Return the 95 % limit of residuals over the noise by their reduced χ²; at least 1."""
-    if not degrees_of_freedom:
-        return 1.0
-    return float(np.sqrt(max(1.0, chi2 * degrees_of_freedom / chdtri(degrees_of_freedom, 0.95))))
-
-
 def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> PlatformError:
     """Return the expected platform error: see ``CalibrationResult.expected_error``.
 
@@ -68,10 +62,7 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     poses = measured_plan(result) if poses is None else poses
     error = _by_covariance(result, poses)
     largest = most_uncertain(result)
-    known = np.where(largest == 0.0, np.inf, np.nan_to_num(largest))  # 0: it does not turn
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = np.where(np.isinf(error.sizes), np.inf, error.sizes / known).max(axis=1)
-    error = replace(error, outside=ratios * (1.0 - _SAME), uncovered=uncovered(result))
+    error = replace(error, outside=outside_of(error.sizes, largest), uncovered=uncovered(result))
     if result.promises:
         return replace(error, hidden=_hidden(result, poses, error.unnoticed))
     expected = np.array(root_mean_squares(_by_covariance(result, measured_plan(result)).sizes))
@@ -104,13 +95,9 @@ def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tup
     """
     noise, legs = result.calibration.noise, legs_at(result.identified, poses)
     of_readings = np.sqrt(np.nanmean(noise.readings**2, axis=0))
-    of_poses = np.diag(np.sqrt(np.nanmean(noise.poses.sigma**2, axis=0)))
-    by_readings = least_squares(legs.pose, legs.reading * of_readings)
-    known = np.isfinite(by_readings).all(axis=(1, 2))  # not at a type-2 singularity
-    twists = np.broadcast_to(of_poses, (known.sum(), *of_poses.shape))
-    twists = np.concatenate((by_readings[known], twists), axis=2)
-    moved, units = seen_of(result.identified, legs.poses[known], twists, seen_by(result))
-    parts = root_mean_squares(sizes(units, np.linalg.norm(moved, axis=2)))
+    of_poses = np.sqrt(np.nanmean(noise.poses.sigma**2, axis=0))
+    moved = moved_by_noise(result.identified, legs, of_readings, of_poses, seen_by(result))
+    parts = root_mean_squares(moved)
     return parts[0] * (scale**2 - 1.0) ** 0.5, parts[1] * (scale**2 - 1.0) ** 0.5
 
 
@@ -163,32 +150,14 @@ def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
 def seen_by(result: CalibrationResult) -> Array | Seen | None:
     """Return the view of the platform in which errors are stated.
 
-    Where frame or targets were unknown, it is of the targets, and of the orientation if that was
-    measured, apart from motions of the unknown frame, offsets and turns: the motion of a point far
-    from the targets, which no such measurement can fix, is no error of the machine. Otherwise it is
-    the platform apart from motions of frames that the gauge has fixed, if any.
+    Where frame or targets were unknown, it is ``seen_targets``. Otherwise it is the platform apart
+    from motions of frames that the gauge has fixed, if any.
     """
-    observation, values = result.calibration.observation, result.outside
-    platform = result.nominal.platform
-    known = set(np.array(observation.names)[observation.measured.any(axis=0)])
-    positions = observation.setup.positions(platform).values()
-    points = [name for axes in positions if known.issuperset(axes) for name in axes]
-    if values is None or not points or observation.setup.instruments:
-        return result.frames_moved
-    turns = platform.freedoms[platform.lengths :]
-    names = [*points, *(turns if known.issuperset(turns) else ())]
-    places = [observation.names.index(name) for name in names]
-    units = tuple(observation.units[place] for place in places)
-    n_targets = len(points) / platform.space
-    sizes = np.array([n_targets**0.5 if unit == "m" else 1.0 for unit in units])[:, None]
-
-    def seen(poses: Array, twists: Array) -> tuple[Array, Array, tuple[str, ...]]:
-        """Return the visible part of twists at poses: see ``Seen``."""
-        at_poses = observation.anywhere().at(np.zeros(len(poses), dtype=np.intp))
-        _, by_pose, by_outside = at_poses.residuals(platform.matrices(poses), values)
-        return by_pose[:, places] @ twists / sizes, by_outside[:, places] / sizes, units
-
-    return seen
+    observation, seen = result.calibration.observation, None
+    if result.outside is not None:
+        measured = np.array(observation.names)[observation.measured.any(axis=0)].tolist()
+        seen = seen_targets(observation, measured, result.outside)
+    return seen or result.frames_moved
 
 
 def apart(

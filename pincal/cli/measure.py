@@ -115,8 +115,8 @@ def measure(
         words += ["--setup", str(options.setup_file)] * (options.setup_file is not None)
         words += ["--unknown-frame"] * options.unknown_frame
         words += ["--unknown-target"] * options.unknown_target
-        for name in ("position", "orientation", "reading"):
-            words += [f"--noise-{name}", f"{getattr(noise, name):g}"]
+        for name, sigma in vars(noise).items():
+            words += [f"--noise-{name}", f"{sigma:.12g}"] * (name != "pixel" or bool(setup.pixels))
         asked = replace(
             session_options,
             following=f"next: {shlex.join([*words, '-o', 'RESULT'])}",

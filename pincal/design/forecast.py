@@ -33,6 +33,7 @@ from pincal.estimation.observability.identifiable import (
 )
 from pincal.estimation.observation import Observation
 from pincal.estimation.rows import white_rows
+from pincal.estimation.unknowns import External
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
@@ -97,6 +98,10 @@ class Information(NamedTuple):
     """Ids of the unknowns."""
     measured: tuple[str, ...]
     """Names of the measured quantities (see ``forecast``)."""
+    observation: Observation
+    """What is measured there."""
+    external: External
+    """Values of the external unknowns."""
 
 
 def information_rows(
@@ -148,7 +153,7 @@ def information_rows(
     ids, external = [p.id for p in mechanism.parameters], observation.external
     priors = np.eye(rows.shape[2])[len(ids) :] / external.priors[:, None]
     known = priors[priors.any(axis=1)]
-    return Information(rows, known, errors, (*ids, *external.names), names)
+    return Information(rows, known, errors, (*ids, *external.names), names, observation, start)
 
 
 def null_directions(lengths: Array, axes: Array, rank: int, count: int) -> Array:
@@ -281,7 +286,7 @@ def forecast(
     if not len(legs.poses):
         check_reached(mechanism, plan)
     information = information_rows(mechanism, legs, noise, measured, setup)
-    rows, priors, systematic, unknowns, names = information
+    rows, priors, systematic, unknowns, names, *_ = information
     white, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
     flat = np.concatenate((white, priors))
     rank = identifiability(flat, unknowns)

@@ -1,45 +1,30 @@
-"""Order of measuring poses: rounds of short ways for a plan, or the best next pose in a session.
+"""Order of a plan's poses: rounds of short ways, with repetitions of a reference pose.
 
-Rounds mix the legs' poses, so that drift does not become an error of one leg. In a session the next
-row is the most informative one: M = diag(σ⁻²) + Σ Aⱼᵀ Aⱼ is the information of priors and of the
-rows measured so far, with forecast rows Aⱼ of the nominal mechanism, so that measured values do not
-influence the choice.
+Rounds mix the legs' poses, so that drift does not become an error of one leg.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.special import chdtri
 
-from pincal.blas import one_thread
-from pincal.design.forecast import forecast, information_rows, touching
-from pincal.design.optimal import DETERMINANT, inverse_roots
-from pincal.design.platform_error import CONFIDENCE, seen_of
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.kinematics.configurations import (
     as_plan,
     inverse,
     joints_at,
-    legs_at,
     planned_influences,
 )
-from pincal.model import EVERY_LEG, ROW, TO, VERIFY, Mechanism, Noise, Plan, Setup
+from pincal.model import EVERY_LEG, ROW, TO, VERIFY, Mechanism, Plan
 from pincal.model.checks import count_of
 from pincal.types import Array, Mask
-from pincal.workspace.sampling import sample_configurations
 
 REFERENCE = "reference"
 """Name of the pose that is measured repeatedly."""
 _ROUND = 8  # fewest rows of a round
 _BLOCKED = 1e3  # length of a blocked way
-_WORKSPACE, _SEED = 200, 1  # configurations over which errors are stated
-_FAR = 10.0  # standard deviation of unknowns without a prior, in sizes of the machine, or rad
-_COURSE = 100  # most poses of a course
 
 
 def in_rounds(
@@ -195,105 +180,3 @@ def with_verification(
         places=None if plan.places is None else (*plan.places, *("",) * count),
         contacts={name: names + chosen.contacts[name] for name, names in plan.contacts.items()},
     )
-
-
-class Candidates:
-    """The N rows of a plan as candidates of a session, with their information on n unknowns."""
-
-    offered: Mask
-    """Rows in reach that a fit uses, shape (N,)."""
-    rows: Array
-    """Whitened rows of the plan, zero where not offered, shape (N, k, n)."""
-    beforehand: Array
-    """Whitened rows of prior knowledge, shape (m, n)."""
-    workspace: Plan
-    """Configurations over which errors are stated."""
-
-    @one_thread()
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        plan: Plan,
-        noise: Noise,
-        measured: Sequence[str] | None,
-        setup: Setup,
-        priors: Mapping[str, float],
-    ) -> None:
-        """Forecast the rows of a plan with the nominal mechanism.
-
-        ``priors`` are standard deviations by parameter id; the rest is as for ``forecast``.
-        """
-        legs = legs_at(mechanism, touching(mechanism, plan, setup))
-        frames = forecast(mechanism, plan, noise, measured, setup).frames
-        white, known, _, unknowns, _ = information_rows(mechanism, legs, noise, measured, setup)
-        self.offered = legs.reached & ~plan.verifying
-        self.rows = np.zeros((len(plan), *white.shape[1:]))
-        self.rows[legs.reached] = white * self.offered[legs.reached, None, None]
-        far = _FAR * max(mechanism.size, 1.0)
-        spread = np.array([priors.get(name, far) for name in unknowns])
-        self.beforehand = np.concatenate((np.diag(1.0 / spread), known))
-        self.workspace = sample_configurations(mechanism, _WORKSPACE, _SEED)
-        legs = legs_at(mechanism, self.workspace)
-        gain, units = seen_of(mechanism, legs.poses, legs.gain, frames)
-        gain = gain[np.isfinite(gain).all(axis=(1, 2))]
-        G = gain[:, [unit == units[0] for unit in units]].reshape(-1, gain.shape[2])
-        half = np.asarray(np.linalg.qr(G / np.sqrt(len(gain)), mode="r")).T
-        unmoving = len(unknowns) - len(half)
-        self._moved = np.pad(half, ((0, unmoving), (0, 0)))  # C: tr Cᵀ M⁻¹ C is a mean square
-        self.limit = cache(self._limit)  # ``limits`` asks again for the same rows and a further one
-
-    def information(self, measured: Sequence[int]) -> Array:
-        """Return the information M of priors and measured rows of the plan, shape (n, n)."""
-        flat = self.rows[list(measured)].reshape(-1, self.rows.shape[2])
-        rows = np.concatenate((self.beforehand, flat))
-        return np.asarray(rows.T @ rows)
-
-    def limits(self, measured: Sequence[int]) -> list[float]:
-        """Return the limit of the platform's expected error after each of the rows, [m]."""
-        return [self.limit(*measured[: count + 1]) for count in range(len(measured))]
-
-    @one_thread()
-    def _limit(self, *measured: int) -> float:
-        """Return the 95 % limit of the platform's position error, [m], after the measured rows.
-
-        The error is the RMS over the workspace, [rad] for a platform that only turns. Its square is
-        a sum of squares weighted by eigenvalues of V = Cᵀ M⁻¹ C; its quantile is taken from the χ²
-        of equal mean, tr V, and variance, 2 tr V² (Satterthwaite 1946).
-        """
-        half = inverse_roots(self.information(measured)[None])[0].T @ self._moved
-        V = half.T @ half
-        mean = float(np.trace(V))
-        freedoms = mean**2 / float((V**2).sum())
-        return float(np.sqrt(mean * chdtri(freedoms, 1.0 - CONFIDENCE) / freedoms))
-
-    @one_thread()
-    def best(self, measured: Sequence[int]) -> tuple[int, float]:
-        """Return the row of the plan to measure next, and the relative decrease of errors by it.
-
-        No other row decreases the errors more, in the geometric mean of all unknowns. Measured rows
-        are only repeated when no other is left.
-
-        Raises:
-            MeasurementError: no row is offered.
-        """
-        fresh = self.fresh(measured)
-        places = np.flatnonzero(fresh if fresh.any() else self.offered)
-        if not len(places):
-            raise MeasurementError("no pose of the plan is in reach; give another plan")
-        root = inverse_roots(self.information(measured)[None])
-        gains = DETERMINANT.gain(self.rows[places], root)[0]
-        falls = -np.expm1(-gains.max() / (2 * self.rows.shape[2]))
-        return int(places[gains.argmax()]), float(falls)
-
-    def fresh(self, measured: Sequence[int]) -> Mask:
-        """Return a mask of the offered rows that were not measured, shape (N,)."""
-        fresh = self.offered.copy()
-        fresh[list(measured)] = False
-        return fresh
-
-    def course(self) -> list[int]:
-        """Return rows of the plan in the order in which ``best`` chooses them, at most 100."""
-        measured: list[int] = []
-        while len(measured) < _COURSE and self.fresh(measured).any():
-            measured.append(self.best(measured)[0])
-        return measured

@@ -4,17 +4,21 @@ With e of all legs, δx = −(∂e/∂x)⁻¹ (∂e/∂φ) δφ: uncertain singl
 pose well together. Where frames are not measured, the error is taken after their best fit.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from pincal.blas import one_thread
 from pincal.estimation.observability.gauge import frame_motions, unexplained
 from pincal.estimation.observability.identifiable import NEGLIGIBLE
-from pincal.kinematics.configurations import legs_at
+from pincal.estimation.observation import Observation
+from pincal.estimation.unknowns import External
+from pincal.kinematics.batches import least_squares
+from pincal.kinematics.configurations import Legs, legs_at
 from pincal.model import Mechanism, Plan
 from pincal.model.checks import counted
 from pincal.types import Array, Mask
@@ -27,7 +31,9 @@ quantities: (N, r, k). It also returns their motion by unknown frames, (N, r, m)
 positions of several targets are divided by the square root of the number of targets."""
 CONFIDENCE = 0.95
 DRAWS = 10_000
-_ROUNDING = 1e-6  # relative rounding error of a motion
+SAMPLES = 1000
+"""Number of configurations of the workspace over which errors are stated."""
+_ROUNDING = 1e-6  # relative rounding error of a motion, and of the uncertainty of a pose
 
 
 class Unidentified(NamedTuple):
@@ -142,6 +148,48 @@ class PlatformError:
         return f"{text}, {amount(orientation, 'rad')}" if "rad" in self.units else text
 
 
+def unnoticed(chi2: float, degrees_of_freedom: float) -> float:
+    """Return the 95 % limit of residuals over the noise by their reduced χ²; at least 1."""
+    if not degrees_of_freedom:
+        return 1.0
+    return float(np.sqrt(max(1.0, chi2 * degrees_of_freedom / chdtri(degrees_of_freedom, 0.95))))
+
+
+def outside_of(uncertain: Array, largest: Array) -> Array:
+    """Return uncertainties of position and orientation, (N, 2), over the largest measured ones.
+
+    The larger of both ratios, shape (N,), is above 1 outside the measured region, infinite where a
+    pose is not determined, and NaN out of reach.
+    """
+    known = np.where(largest == 0.0, np.inf, np.nan_to_num(largest))  # 0: it does not turn
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(np.isinf(uncertain), np.inf, uncertain / known).max(axis=1)
+    return np.asarray(ratios * (1.0 - _ROUNDING))
+
+
+def moved_by_noise(
+    mechanism: Mechanism,
+    legs: Legs,
+    of_readings: Array | float,
+    of_poses: Array,
+    frames: Array | Seen | None,
+) -> Array:
+    """Return RMS sizes of visible motions, (N, 2), [m] and [rad], by readings and poses.
+
+    Conditions B δx + D δψ = 0 turn the standard deviations of readings into motions by B⁻¹ D; those
+    of the pose's coordinates, (dof,), are added. NaN at a type-2 singularity; ``frames`` are as
+    for ``platform_error``.
+    """
+    by_readings = least_squares(legs.pose, legs.reading * of_readings)
+    known = np.asarray(np.isfinite(by_readings).all(axis=(1, 2)))
+    twists = np.broadcast_to(np.diag(of_poses), (known.sum(), len(of_poses), len(of_poses)))
+    twists = np.concatenate((by_readings[known], twists), axis=2)
+    moved, units = seen_of(mechanism, legs.poses[known], twists, frames)
+    by_noise = np.full((len(known), 2), np.nan)
+    by_noise[known] = sizes(units, np.linalg.norm(moved, axis=2))
+    return by_noise
+
+
 @one_thread()
 def platform_error(
     mechanism: Mechanism,
@@ -223,14 +271,51 @@ def seen_of(
     ``frames`` are as for ``platform_error``, poses are coordinates, (N, dof). For the fit angles
     count as lengths at a lever, [m]; 0 takes the mechanism's size.
     """
-    platform, units = mechanism.platform, mechanism.platform.units
-    if frames is None:
-        return twists, units
-    if callable(frames):
-        twists, motions, units = frames(poses, twists)
-    else:
-        motions = frame_motions(platform, platform.matrices(poses)) @ frames
+    twists, motions, units = motions_of(mechanism, poses, twists, frames)
     return unexplained(units, twists, motions, lever or mechanism.size), units
+
+
+def motions_of(
+    mechanism: Mechanism, poses: Array, twists: Array, frames: Array | Seen | None
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return twists, (N, r, k), motions by frames, (N, r, m), and units: see ``Seen``."""
+    platform = mechanism.platform
+    if callable(frames):
+        return frames(poses, twists)
+    motions = np.zeros((*twists.shape[:2], 0))
+    if frames is not None:
+        motions = frame_motions(platform, platform.matrices(poses)) @ frames
+    return twists, motions, platform.units
+
+
+def seen_targets(
+    observation: Observation, measured: Collection[str], values: External
+) -> Seen | None:
+    """Return the view of targets of which positions are measured, with their orientation if it is.
+
+    It is apart from motions of unknown frames, offsets and turns at their values: the motion of a
+    point far from the targets, which no such measurement can fix, is no error of the machine. It is
+    None where instruments measure, or no positions.
+    """
+    platform = observation.platform
+    positions = observation.setup.positions(platform).values()
+    points = [name for axes in positions if set(axes) <= set(measured) for name in axes]
+    if not points or observation.setup.instruments:
+        return None
+    turns = platform.freedoms[platform.lengths :]
+    names = [*points, *(turns if set(turns) <= set(measured) else ())]
+    places = [observation.names.index(name) for name in names]
+    units = tuple(observation.units[place] for place in places)
+    n_targets = len(points) / platform.space
+    lengths = np.array([n_targets**0.5 if unit == "m" else 1.0 for unit in units])[:, None]
+
+    def seen(poses: Array, twists: Array) -> tuple[Array, Array, tuple[str, ...]]:
+        """Return the visible part of twists at poses: see ``Seen``."""
+        at_poses = observation.anywhere().at(np.zeros(len(poses), dtype=np.intp))
+        _, by_pose, by_outside = at_poses.residuals(platform.matrices(poses), values)
+        return by_pose[:, places] @ twists / lengths, by_outside[:, places] / lengths, units
+
+    return seen
 
 
 def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:

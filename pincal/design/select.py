@@ -361,7 +361,9 @@ def select_configurations(
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan, "the candidates")
-    white, priors, _, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
+    white, priors, _, unknowns, names, *_ = information_rows(
+        mechanism, legs, noise, measured, setup
+    )
     flat = np.concatenate((white.reshape(-1, white.shape[2]), priors))
     identifiable = identifiability(flat, unknowns)
     rank, (lengths, _, axes) = identifiable.rank, scaled_axes(flat)

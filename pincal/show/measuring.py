@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from pincal.calibration.session import PLANNED, Checked, Session, place_of
+from pincal.calibration.session import PLANNED, Session, place_of
+from pincal.calibration.verdicts import Checked
+from pincal.design.candidates import MANY
 from pincal.errors import FileError, MeasurementError
 from pincal.model.checks import counted
 from pincal.show.picture import picture
@@ -65,15 +67,23 @@ def progress(session: Session) -> list[str]:
         lines.append(
             f"row {row + 1} is {sigma:.3g} σ off the prediction by all others: undo (u {row + 1})?"
         )
-    if session.enough:
-        lines.append(f"enough: {amount(accuracy or 0.0, 'm')} reached")
-    elif accuracy is None or not np.isfinite(session.limit):
-        pass  # a forecast would not be of the error that is stated
-    elif session.limit <= accuracy:
-        lines.append("the next pose widens the measured region, outside of which nothing is stated")
-    else:
-        lines.append(f"about {counted(session.missing, 'more pose')} for {amount(accuracy, 'm')}")
+    if accuracy is not None:
+        lines += _until(session, accuracy)
     return [line for line in lines if line]
+
+
+def _until(session: Session, accuracy: float) -> list[str]:
+    """Return what is missing until an accuracy, [m], is reached."""
+    wanted, missing, lines = amount(accuracy, "m"), session.missing, list[str]()
+    if session.enough:
+        return [f"enough: {wanted} reached"]
+    if session.limit <= accuracy:
+        lines = ["the next pose widens the measured region, outside of which nothing is stated"]
+    if session.contradicted:
+        return lines  # a forecast would not be of the error that is stated
+    if missing >= MANY:
+        return [*lines, f"no number of these poses suffices for {wanted}"]
+    return [*lines, f"about {counted(missing, 'more pose')} for {wanted}"]
 
 
 def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str, str]:
@@ -190,8 +200,13 @@ def state(session: Session) -> dict[str, Any]:
         "progress": [*progress(session), *[session.options.following] * session.enough],
         "enough": session.enough,
         "doubtful": session.doubtful[0] + 1 if session.doubtful else 0,
-        "course": [1e3 * limit for limit in session.candidates.limits(session.measured)],
-        "forecast": [1e3 * limit for limit in session.forecast],
+        "course": _in_mm(session.candidates.limits(session.measured)),
+        "forecast": _in_mm(session.forecast),
         "goal": 1e3 * (session.options.accuracy or 0.0),
         "parameters": [] if table is None else [table.head_cells, *table.cells()],
     }
+
+
+def _in_mm(lengths: Sequence[float]) -> list[float | None]:
+    """Return lengths in mm for JSON, None where infinite."""
+    return [1e3 * length if np.isfinite(length) else None for length in lengths]

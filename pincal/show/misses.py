@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from pincal.calibration.promise import apart, errors_inside, measured_plan
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import ResidualGroup
-from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
+from pincal.design.platform_error import (
+    SAMPLES,
+    PlatformError,
+    root_mean_squares,
+    seen_of,
+    sizes,
+)
 from pincal.errors import WorkspaceError
 from pincal.estimation.unknowns import External
 from pincal.instruments.camera import Camera
@@ -29,7 +35,7 @@ from pincal.words.numbers import percent
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
-_SAMPLES, _FEW_SAMPLES = 1000, 300  # sampled poses of the workspace
+_FEW_SAMPLES = 300  # sampled poses of the workspace
 _ACROSS = {2: 45, 3: 25}  # cells along a side of a map, by the dimension of space
 _MEASURED = "measured poses"
 _MENTIONED = 0.01  # share of the workspace outside the measured region that is not mentioned
@@ -193,7 +199,7 @@ def workspace_errors(result: CalibrationResult, poses: Plan | None = None) -> Wo
     if poses is not None:
         return errors_at(result, poses, "the poses given")
     with suppress(WorkspaceError):
-        sampled = errors_at(result, sample_configurations(result.nominal, _SAMPLES))
+        sampled = errors_at(result, sample_configurations(result.nominal, SAMPLES))
         if sampled.expected.within.any():
             return sampled
     return errors_at(result, measured_plan(result), _MEASURED)
@@ -245,7 +251,7 @@ def level_poses(result: CalibrationResult) -> tuple[Array, Array, float | None, 
         raise WorkspaceError("no map: poses follow from readings, and do not fill a plane")
     if platform.coordinates[:2] != ("x", "y"):
         raise WorkspaceError("no map: the platform does not move in x and y")
-    samples = sample_configurations(nominal, _SAMPLES).poses
+    samples = sample_configurations(nominal, SAMPLES).poses
     count, height = _ACROSS[platform.space], None
     x, y = np.linspace(samples.min(axis=0)[:2], samples.max(axis=0)[:2], count, axis=1)
     poses = np.tile(platform.home, (count, count, 1))

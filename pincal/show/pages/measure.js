@@ -20,7 +20,7 @@ function cells(place, columns, hints) {
 const inputs = () => [...document.querySelectorAll("#entry input")];
 
 function chart({ forecast, course, goal }) {
-  const logs = [...forecast, ...course, ...(goal ? [goal] : [])].map(Math.log10);
+  const logs = [...forecast, ...course, goal].filter(Boolean).map(Math.log10);
   const low = Math.floor(Math.min(...logs)), high = Math.ceil(Math.max(...logs));
   const most = Math.max(forecast.length, course.length, 2);
   const x = (n) => 34 + (280 * (n - 1)) / (most - 1), y = (v) => 8 + (140 * (high - Math.log10(v))) / (high - low || 1);
@@ -30,7 +30,7 @@ function chart({ forecast, course, goal }) {
     element.textContent = text;
     return element;
   };
-  const path = (values) => values.map((v, i) => `${i ? "L" : "M"}${x(i + 1).toFixed(1)},${y(v).toFixed(1)}`).join("");
+  const places = (values) => values.flatMap((v, i) => (v ? [[x(i + 1).toFixed(1), y(v).toFixed(1)]] : []));
   const decades = Array.from({ length: high - low + 1 }, (_, i) => 10 ** (low + i));
   at("chart").replaceChildren(
     ...decades.flatMap((v) => [
@@ -39,8 +39,8 @@ function chart({ forecast, course, goal }) {
     ]),
     draw("text", { x: 34, y: 164 }, "1"), draw("text", { x: 314, y: 164, "text-anchor": "end" }, String(most)),
     ...(goal ? [draw("path", { class: "goal", d: `M34,${y(goal)}H314` })] : []),
-    draw("path", { d: path(forecast) }),
-    ...course.map((v, i) => draw("circle", { cx: x(i + 1), cy: y(v), r: 2.5 })),
+    draw("path", { d: `M${places(forecast).join("L") || "0,0"}` }),
+    ...places(course).map(([cx, cy]) => draw("circle", { cx, cy, r: 2.5 })),
   );
 }
 
