@@ -10,9 +10,21 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal import Element, Placement
 from pincal.model.placement import Coordinate
+from pincal.symmetry.detect import SymmetryGroup
 from pincal.symmetry.elements import isometry
 
 AXES = ("x", "y", "z", "rz", "ry", "rx")
+
+
+def equivariance(group: SymmetryGroup, poses: np.ndarray) -> float:
+    """Return the largest |reading of a carried leg at carried poses − reading| (Eq. 5)."""
+    mechanism, worst = group.mechanism, 0.0
+    before, columns = pincal.inverse(mechanism, poses).readings, mechanism.reading_columns
+    for element, permutation in zip(group.elements, group.permutations, strict=True):
+        after = pincal.inverse(mechanism, element.poses(mechanism.platform, poses)).readings
+        order = np.concatenate([np.r_[columns[index]] for index in permutation])
+        worst = max(worst, float(np.abs(after[:, order] - before).max()))
+    return worst
 
 
 def random_motion(

@@ -11,6 +11,7 @@ from command_line import done
 from differences import assert_derivative
 from marks import some_slow
 from measured import workspace
+from moved import equivariance
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
@@ -147,7 +148,7 @@ def test_the_group_of_the_cables_is_that_of_their_anchors(
         (0, 1, 2, 3), (0, 2, 1, 3), (1, 0, 2, 3), (1, 2, 0, 3), (2, 0, 1, 3), (2, 1, 0, 3),
     ]  # fmt: skip
     assert not group.breaks
-    assert group.equivariance(poses) < 1e-12
+    assert equivariance(group, poses) < 1e-12
     for element in group.elements:
         assert in_workspace(cables, element.poses(cables.platform, poses)).all()
     with pytest.raises(pincal.SymmetryError, match=r"onto line_D\. Choose"):
@@ -174,7 +175,7 @@ def test_homed_legs_are_as_symmetric_as_others(kind: str) -> None:
     group = pincal.symmetry_group(mechanism)
     assert group.permutations == plain.permutations
     shift = np.random.default_rng(6).uniform(-0.05, 0.05, (20, mechanism.platform.dof))
-    assert group.equivariance(np.array(mechanism.platform.home) + np.abs(shift)) < 1e-12
+    assert equivariance(group, np.array(mechanism.platform.home) + np.abs(shift)) < 1e-12
     away = replace(mechanism.platform, home=(0.1, 0.02, *mechanism.platform.home[2:]))
     group = pincal.symmetry_group(replace(mechanism, platform=away))
     assert len(group.elements) == 1

@@ -40,11 +40,10 @@ def nominal_table(mechanism: Mechanism) -> Table:
     return Table(title, [*map(str, heads)], rows, mechanism.labelled)
 
 
-def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
+def symmetry_table(group: SymmetryGroup) -> Table:
     """Return a group's elements with their permutation of legs, and why others are no symmetry."""
     names = group.mechanism.leg_names
-    lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
-    lines += [f"no symmetry: {text}" for text in no_symmetries(group.breaks)]
+    lines = [f"no symmetry: {text}" for text in no_symmetries(group.breaks)]
     size = f"{group.name}, {counted(len(group.elements), 'element')}"
     return Table(
         f"{group.mechanism.name}: {size}, nominal geometry and modes",

@@ -96,7 +96,9 @@ class LegImages:
         base = motion_of_points(points[rows], points[after], space, sign)
         if self.mechanism.platform.turns:
             return Element.of(base, np.linalg.inv(self.home) @ base @ self.home)
-        return Element.of(*(_shifted(base[:3, :3], p[sources], p[targets]) for p in bodies))
+        Q = base[:3, :3]
+        shifts = (p[targets].mean(axis=0) - Q @ p[sources].mean(axis=0) for p in bodies)
+        return Element.of(*(isometry(Q, shift) for shift in shifts))
 
     def _rank(self, points: Array) -> int:
         """Return the dimension that points span about their centre."""
@@ -191,8 +193,3 @@ class LegImages:
             if counts and difference.exceeds(tolerance, self.size):
                 return difference
         return None
-
-
-def _shifted(Q: Array, first: Array, second: Array) -> Array:
-    """Return the isometry with matrix Q that takes the first points' centre to the second's."""
-    return isometry(Q, second.mean(axis=0) - Q @ first.mean(axis=0))

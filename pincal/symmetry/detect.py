@@ -18,8 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from pincal.errors import SymmetryError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import home_mode
-from pincal.kinematics.configurations import inverse
-from pincal.model import Leg, Mechanism, Poses
+from pincal.model import Leg, Mechanism
 from pincal.model.checks import ALIKE, EXACT, number_of
 from pincal.symmetry.candidates import NEARLY, LegImages, Permutation
 from pincal.symmetry.carry import canonical, carry
@@ -111,21 +110,6 @@ class SymmetryGroup:
                 "Choose poses for each leg separately (--protocol independent)"
             )
         return tuple(carriers[index] for index in sorted(carriers))
-
-    def equivariance(self, poses: Poses) -> float:
-        """Return the largest |reading of a carried leg at carried poses − reading| (Eq. 5).
-
-        All poses must be within reach. It is 0 if the identity is the only element.
-        """
-        if len(self.elements) == 1:
-            return 0.0
-        mechanism, worst = self.mechanism, 0.0
-        before, columns = inverse(mechanism, poses).readings, mechanism.reading_columns
-        for element, permutation in zip(self.elements, self.permutations, strict=True):
-            after = inverse(mechanism, element.poses(mechanism.platform, poses)).readings
-            order = np.concatenate([np.r_[columns[index]] for index in permutation])
-            worst = max(worst, float(np.abs(after[:, order] - before).max()))
-        return worst
 
     def __repr__(self) -> str:
         count = len(self.elements)
