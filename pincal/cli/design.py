@@ -10,20 +10,6 @@ import numpy as np
 import typer
 
 import pincal
-from pincal import (
-    FileError,
-    Grid,
-    Margins,
-    MeasurementError,
-    Measurements,
-    Mechanism,
-    Noise,
-    Orientations,
-    Plan,
-    Setup,
-    Workspace,
-    WorkspaceError,
-)
 from pincal.cli.app import command, remark, say, stdout, working, wrote
 from pincal.cli.options import (
     FORCE,
@@ -38,6 +24,7 @@ from pincal.cli.options import (
 )
 from pincal.design.planning import CONFIGURATIONS, PlanningOptions, sampled, with_reading_noise
 from pincal.design.simulate import SimulatedMachine, Simulation
+from pincal.errors import FileError, MeasurementError, WorkspaceError
 from pincal.files.columns import Columns, columns_of, reading_columns, sheet_columns
 from pincal.files.further_tables import corners_of
 from pincal.files.measurements import read_poses
@@ -46,13 +33,14 @@ from pincal.files.output import refuse_existing, refuse_existing_of, writing_tog
 from pincal.files.table import write_table
 from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.configurations import check_reached
+from pincal.model import Measurements, Mechanism, Noise, Plan, Setup
 from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show import explanation, tables
 from pincal.words.numbers import WRITTEN, Units, amount
-from pincal.workspace.criteria import refuse_readings
-from pincal.workspace.grid import POSITION_AXES, Axis, closer_grid, default_grid
-from pincal.workspace.region import KINDS
+from pincal.workspace.criteria import Margins, Orientations, refuse_readings
+from pincal.workspace.grid import POSITION_AXES, Axis, Grid, closer_grid, default_grid
+from pincal.workspace.region import KINDS, Workspace
 
 _FORECAST = 50  # number of poses without a plan
 #: Options that only regions have; only samples of poses have a number of poses.

@@ -26,6 +26,7 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.blas import one_thread
+from pincal.design import orbits
 from pincal.design.forecast import (
     apart_from_frames,
     information_rows,
@@ -34,15 +35,6 @@ from pincal.design.forecast import (
     touching,
 )
 from pincal.design.optimal import Criterion, Parts, continuous_design, exchange, triangles
-from pincal.design.orbits import (
-    carried_legs,
-    distinct,
-    merged,
-    orbit_of,
-    representatives,
-    selection_group,
-    smallest,
-)
 from pincal.design.platform_error import seen_of
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.identifiable import (
@@ -147,7 +139,7 @@ class Search:
                 f"{mechanism.name} reaches {len(poses)} of {len(coordinates)} candidate poses; "
                 f"{count} are to be chosen"
             )
-        self.poses = poses[distinct(platform, poses)]
+        self.poses = poses[orbits.distinct(platform, poses)]
 
     def choose(
         self, legs: Sequence[str], elements: Sequence[Element] = (IDENTITY,)
@@ -160,9 +152,11 @@ class Search:
             ObservabilityError: there are too few poses or candidates, or undetermined parameters.
         """
         poses, platform = self.poses, self.mechanism.platform
-        images, first = orbit_of(elements, platform.matrices(poses))
+        images, first = orbits.orbit_of(elements, platform.matrices(poses))
         if len(elements) > 1:
-            originals = distinct(platform, platform.from_matrices(representatives(images)))
+            originals = orbits.distinct(
+                platform, platform.from_matrices(orbits.representatives(images))
+            )
             poses, images, first = poses[originals], images[:, originals], first[:, originals]
         rows = self.rows(images, legs, first)
         r, n = (sum(part.shape[axis] for part in rows) for axis in (1, 2))
@@ -264,14 +258,14 @@ def select_poses(
     names = mechanism.leg_names
     carried = {name: (name, IDENTITY, True) for name in names}
     if protocol in ("symmetric", "orbits"):
-        group = selection_group(mechanism)
+        group = orbits.selection_group(mechanism)
         spread = search.poses[:: max(1, len(search.poses) // _SAMPLE)][:_SAMPLE]
-        carried = carried_legs(group, spread, search.noise)
+        carried = orbits.carried_legs(group, spread, search.noise)
     if protocol in ("common", "orbits"):
         # a reference leg counts once for each leg of its orbit, less the common factor of orbits
         times = Counter(reference for reference, _, _ in carried.values())
         legs = [leg for leg, size in times.items() for _ in range(size // gcd(*times.values()))]
-        elements = smallest(group) if protocol == "orbits" else (IDENTITY,)
+        elements = orbits.smallest(group) if protocol == "orbits" else (IDENTITY,)
         poses, efficiency = search.choose(legs, elements)
         plan, efficiencies = Plan(poses, (EVERY_LEG,) * len(poses)), [efficiency] * len(names)
     else:
@@ -313,7 +307,7 @@ def _leg_by_leg(
         efficiencies.append(efficiency)
     legs, every = np.repeat(list(carried), search.count).tolist(), np.concatenate(poses)
     unmapped = all(element.is_identity for _, element, _ in carried.values())
-    plan = Plan(every, tuple(legs)) if unmapped else merged(search.mechanism, every, legs)
+    plan = Plan(every, tuple(legs)) if unmapped else orbits.merged(search.mechanism, every, legs)
     return plan, efficiencies
 
 
@@ -353,7 +347,7 @@ def select_configurations(
     if goal not in get_args(Goal):
         raise MeasurementError(f"no goal {goal!r}; expected one of {', '.join(get_args(Goal))}")
     plan = as_plan(mechanism, candidates)
-    originals = distinct(mechanism.platform, plan.poses, plan.readings)
+    originals = orbits.distinct(mechanism.platform, plan.poses, plan.readings)
     setup = read_setup(setup or Setup())
     plan = Plan(plan.poses, readings=plan.readings, contacts=plan.contacts).rows(originals)
     setup = setup.of_rows(plan.contacts)
