@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 256,
     "architectures": 616,
-    "calibration": 6_868,
+    "calibration": 6_888,
     "cli": 2_693,
-    "design": 2_566,
-    "estimation": 4_598,
+    "design": 2_563,
+    "estimation": 4_602,
     "files": 3_371,
     "formats": 3_445,
     "instruments": 1_539,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -32,8 +33,20 @@ def sagging(truth: pincal.Mechanism, poses: Array) -> Array:
     return np.asarray(SOFT * np.linalg.solve(J.transpose(0, 2, 1), weight)[:, :, 0])
 
 
+def clearance(truth: pincal.Mechanism, poses: Array) -> Array:
+    """Return 8 µm in the joints of each leg, from side to side as it moves, (N, 6), [m]."""
+    return 8e-6 * np.sign(np.sin(40.0 * pincal.inverse(truth, poses).readings + np.arange(6)))
+
+
+def rigid(truth: pincal.Mechanism, poses: Array) -> Array:
+    """Return by how much legs that hold are shorter, shape (N, 6), [m]."""
+    return np.zeros((len(poses), 6))
+
+
 @cache
-def in_a_box(seed: int, soft: float) -> tuple[pincal.Mechanism, pincal.CalibrationResult]:
+def in_a_box(
+    seed: int, error: Callable[[pincal.Mechanism, Array], Array] = rigid
+) -> tuple[pincal.Mechanism, pincal.CalibrationResult]:
     """Return a true hexapod and its calibration by 40 poses of the middle of its workspace."""
     nominal = pincal.load_mechanism("6UPS")
     every = workspace("6UPS", 3000, 5)
@@ -43,49 +56,48 @@ def in_a_box(seed: int, soft: float) -> tuple[pincal.Mechanism, pincal.Calibrati
     truth = pincal.disturb(nominal, 1e-3, seed=seed)
     data = pincal.simulate(nominal, truth, pincal.Plan(poses), NOISE, seed=seed).measurements
     assert data.readings is not None
-    readings = data.readings - soft * sagging(truth, data.poses)
-    data = pincal.Measurements(poses=data.poses, readings=readings)
+    data = pincal.Measurements(poses=data.poses, readings=data.readings - error(truth, data.poses))
     return truth, pincal.calibrate(nominal, data, noise=NOISE)
 
 
-def off(truth: pincal.Mechanism, machine: pincal.Mechanism, poses: Array) -> float:
-    """Return how far the sagging machine is off where the calibrated one sends it, [m]."""
-    commanded = pincal.inverse(machine, poses).readings
-    reached = pincal.forward(truth, commanded + sagging(truth, poses), guess=poses).poses
-    return float(np.sqrt(((reached - poses)[:, :3] ** 2).sum(axis=1).mean()))
-
-
 @pytest.mark.slow
-def test_a_promise_is_kept_or_withdrawn_where_legs_sag() -> None:
-    """14 hexapods measured in a box, weight unsaid: kept to a tenth in the region, else withdrawn.
+@pytest.mark.parametrize("error", [sagging, clearance])
+def test_a_promise_is_kept_in_the_measured_region_or_withdrawn(
+    error: Callable[[pincal.Mechanism, Array], Array],
+) -> None:
+    """14 hexapods in a box, weight or clearance unsaid: 93 of 100 limits hold, none beyond the box.
 
-    Beyond, a limit that knows of no region would be broken in five at least.
+    There a limit that knows of no region would be broken in five at least.
     """
     poses = workspace("6UPS", 300, 9)
     kept, broken = [], 0
     for seed in range(14):
-        truth, result = in_a_box(seed, 1.0)
+        truth, result = in_a_box(seed, error)
         if not result.promises:
+            kept.append(True)
             continue
         everywhere = result.expected_error(poses)
         assert np.isinf(everywhere.limit).all()
         assert 0.1 < everywhere.within.mean() < 0.9
-        region, beyond = poses[everywhere.within], poses[~everywhere.within]
-        kept.append(off(truth, result.identified, region) / result.expected_error(region).limit[0])
-        alone = result.expected_error(beyond)
-        without_region = replace(alone, outside=np.zeros(0)).limit[0]
-        broken += off(truth, result.identified, beyond) > without_region
-        assert "outside the measured region" in str(alone)
-    assert len(kept) >= 12
-    assert np.mean(np.array(kept) <= 1.1) >= 0.93
-    assert np.mean(np.array(kept) <= 1.0) >= 0.8
-    assert broken >= 5
+        off = []
+        for part in (poses[everywhere.within], poses[~everywhere.within]):
+            commanded = pincal.inverse(result.identified, part).readings + error(truth, part)
+            reached = pincal.forward(truth, commanded, guess=part).poses
+            off.append(np.sqrt(((reached - part)[:, :3] ** 2).sum(axis=1).mean()))
+        inside, beyond = (
+            result.expected_error(poses[mask]) for mask in (everywhere.within, ~everywhere.within)
+        )
+        kept.append(off[0] <= inside.limit[0])
+        broken += off[1] > replace(beyond, outside=np.zeros(0)).limit[0]
+        assert "outside the measured region" in str(beyond)
+    assert np.mean(kept) >= 0.92  # 13 of 14
+    assert broken >= 5 * (error is sagging)
 
 
 @pytest.mark.slow
 def test_measured_poses_lie_in_their_region() -> None:
     """No measured pose lies outside; the limit there is finite, and far away there is none."""
-    _, result = in_a_box(0, 0.0)
+    _, result = in_a_box(0)
     here = result.expected_error()
     assert here.within.all()
     assert np.isfinite(here.limit).all()
@@ -99,7 +111,7 @@ def test_measured_poses_lie_in_their_region() -> None:
 @pytest.mark.slow
 def test_what_a_promise_leaves_out_is_said_beside_it(tmp_path: Path) -> None:
     """On terminal, page and in JSON; what was said of (a scale, a pose measured again) is not."""
-    _, result = in_a_box(0, 0.0)
+    _, result = in_a_box(0)
     assert result.expected_error().uncovered == ("weight", "scale", "time")
     data = json.loads((result.save(tmp_path / "r") / "result.json").read_text())
     assert data["promise_leaves_out"] == ["weight", "scale", "time"]

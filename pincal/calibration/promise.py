@@ -13,7 +13,7 @@ from pincal.design.platform_error import (
     PlatformError,
     Seen,
     Unidentified,
-    moved_by_noise,
+    moved_by_readings,
     outside_of,
     platform_error,
     root_mean_squares,
@@ -23,7 +23,8 @@ from pincal.design.platform_error import (
 )
 from pincal.design.simulate import platform_errors
 from pincal.estimation.observation import Observation
-from pincal.estimation.unknowns import External
+from pincal.estimation.problem import Problem
+from pincal.estimation.unknowns import External, State
 from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.forward import forward
 from pincal.model import ORIGIN, ROW, Load, Mechanism, Plan
@@ -88,17 +89,36 @@ def errors_inside(result: CalibrationResult, plan: Plan) -> tuple[PlatformError,
 def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tuple[float, float]:
     """Return root mean square errors of the machine that residuals cannot show, [m] and [rad].
 
-    The conditions B δx + D δψ = 0 of poses and readings have noise of covariance K. Other errors of
-    the machine, such as clearance, appear in the same conditions. χ² bounds the sum of both by a
-    scale (``unnoticed``), which leaves up to (scale² - 1) K to the machine. The readings' share of
-    that moves the platform at every pose through B⁻¹ D, apart from the parameters.
+    What no parameter holds, such as clearance, acts like noise of the readings, in each leg apart.
+    White rows show a share w of noise σ of the readings. χ² bounds all noise by a scale
+    (``unnoticed``), so that variances up to σ² (scale² - 1) / w may be the machine's. They move the
+    platform at every pose through B⁻¹ D, apart from the parameters.
     """
-    noise, legs = result.calibration.noise, legs_at(result.identified, poses)
-    of_readings = np.sqrt(np.nanmean(noise.readings**2, axis=0))
-    of_poses = np.sqrt(np.nanmean(noise.poses.sigma**2, axis=0))
-    moved = moved_by_noise(result.identified, legs, of_readings, of_poses, seen_by(result))
-    parts = root_mean_squares(moved)
-    return parts[0] * (scale**2 - 1.0) ** 0.5, parts[1] * (scale**2 - 1.0) ** 0.5
+    sigma = np.sqrt(np.nanmean(result.calibration.noise.readings**2, axis=0))
+    if not sigma.any():  # only proportions matter
+        sigma = np.ones_like(sigma)
+    legs = legs_at(result.identified, poses)
+    parts = root_mean_squares(moved_by_readings(result.identified, legs, sigma, seen_by(result)))
+    times = float(np.sqrt((scale**2 - 1.0) / _shown(result, sigma)))
+    return parts[0] * times, parts[1] * times
+
+
+def _shown(result: CalibrationResult, sigma: Array) -> float:
+    """Return the mean square of white rows by noise of the readings, sigma (n_readings,)."""
+    calibration, problems = result.calibration, list[Problem]()
+    if result.options.latent:
+        problems.append(calibration.every_leg(calibration.used))
+    else:
+        problems += [calibration.measured_problem([leg.name])[0] for leg in result.legs]
+    squares, start = 0.0, 0
+    for problem in problems:
+        block, external = problem.leg_block, result.outside or problem.observation.external.start
+        parameters = np.concatenate([result.leg(leg.name).identified for leg in problem.legs])
+        matrices = problem.platform.matrices(result.poses[block.data_rows])
+        linear = problem.evaluate(State(parameters, matrices, external=external))
+        columns = slice(start, start := start + block.n_readings)
+        squares += np.nansum(linear.white(linear.by_reading * sigma[columns]) ** 2)
+    return squares / sum(problem.equations.sum() for problem in problems)
 
 
 def most_uncertain(result: CalibrationResult) -> Array:

@@ -22,7 +22,7 @@ from pincal.design.platform_error import (
     SAMPLES,
     Seen,
     motions_of,
-    moved_by_noise,
+    moved_by_readings,
     outside_of,
     root_mean_squares,
     seen_of,
@@ -52,8 +52,8 @@ class Stated(NamedTuple):
     limit: float
     """95 % limit of its RMS in the measured region by parameters, [m]; infinite without a region.
     It is [rad] for a platform that only turns, here and below."""
-    by_noise: float
-    """RMS motion there by the noise of a reading and of a pose, [m]."""
+    hidden: float
+    """RMS motion there by errors of readings as large in residuals as their noise, [m]."""
     share: float
     """Share of the workspace in the measured region."""
     outside: Array
@@ -114,8 +114,8 @@ class Candidates:
         self._sampled, self._units = seen_of(
             mechanism, sampled.poses[held], sampled.gain[held], frames
         )
-        by_noise = noise.reading, noise.of_poses(mechanism)
-        self._by_noise = moved_by_noise(mechanism, sampled, *by_noise, frames)[held]
+        shown = np.square(information.by_reading).sum(axis=2).mean() ** 0.5
+        self._hidden = moved_by_readings(mechanism, sampled, 1.0 / shown, frames)[held]
         held = np.isfinite(legs.gain).all(axis=(1, 2))
         *moves, _ = motions_of(mechanism, legs.poses[held], legs.gain[held], frames)
         self._moves = [np.zeros((len(plan), *part.shape[1:])) for part in moves]
@@ -152,7 +152,7 @@ class Candidates:
         )
         largest = at_rows.max(axis=0, initial=0.0)
         inside = outside_of(self._uncertain(moves), largest) <= 1.0
-        limit, by_noise = np.inf, np.inf
+        limit, hidden = np.inf, np.inf
         if inside.any():
             columns = [unit == self._units[0] for unit in self._units]
             C = moves[inside][:, columns].reshape(-1, moves.shape[2])
@@ -160,8 +160,8 @@ class Candidates:
             mean = float(np.trace(V))
             freedoms = mean**2 / float((V**2).sum())
             limit = float(np.sqrt(mean * chdtri(freedoms, 1.0 - CONFIDENCE) / freedoms))
-            by_noise = root_mean_squares(self._by_noise[inside])[0]
-        return Stated(limit, by_noise, float(inside.mean()), outside_of(at_plan, largest))
+            hidden = root_mean_squares(self._hidden[inside])[0]
+        return Stated(limit, hidden, float(inside.mean()), outside_of(at_plan, largest))
 
     def _uncertain(self, moves: Array) -> Array:
         """Return the sizes of motions by parameters, (N, r, n), as an array (N, 2)."""
@@ -182,7 +182,7 @@ class Candidates:
             return np.inf
         stated, times = self.stated(*measured), 1.0 + more / len(measured)
         scale = unnoticed(1.0 + surplus / freedoms, freedoms)
-        hidden = stated.by_noise * (scale**2 - 1.0) ** 0.5
+        hidden = stated.hidden * (scale**2 - 1.0) ** 0.5
         return float(np.hypot(scale * stated.limit / times**0.5, hidden))
 
     def limits(self, measured: Sequence[int]) -> list[float]:

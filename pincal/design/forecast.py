@@ -102,6 +102,8 @@ class Information(NamedTuple):
     """What is measured there."""
     external: External
     """Values of the external unknowns."""
+    by_reading: Array
+    """Derivatives of the rows by readings, shape (N, k, n_readings)."""
 
 
 def information_rows(
@@ -150,10 +152,12 @@ def information_rows(
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
     errors = white(np.pad(systematic, ((0, 0), (n_rows, 0), (0, 0))))
+    by_reading = white(np.pad(legs.reading, ((0, 0), (0, by_pose.shape[1]), (0, 0))))
     ids, external = [p.id for p in mechanism.parameters], observation.external
     priors = np.eye(rows.shape[2])[len(ids) :] / external.priors[:, None]
     known = priors[priors.any(axis=1)]
-    return Information(rows, known, errors, (*ids, *external.names), names, observation, start)
+    unknowns = *ids, *external.names
+    return Information(rows, known, errors, unknowns, names, observation, start, by_reading)
 
 
 def null_directions(lengths: Array, axes: Array, rank: int, count: int) -> Array:

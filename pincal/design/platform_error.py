@@ -167,27 +167,20 @@ def outside_of(uncertain: Array, largest: Array) -> Array:
     return np.asarray(ratios * (1.0 - _ROUNDING))
 
 
-def moved_by_noise(
-    mechanism: Mechanism,
-    legs: Legs,
-    of_readings: Array | float,
-    of_poses: Array,
-    frames: Array | Seen | None,
+def moved_by_readings(
+    mechanism: Mechanism, legs: Legs, sigma: Array | float, frames: Array | Seen | None
 ) -> Array:
-    """Return RMS sizes of visible motions, (N, 2), [m] and [rad], by readings and poses.
+    """Return RMS sizes of visible motions, (N, 2), [m] and [rad], by errors of the readings.
 
-    Conditions B δx + D δψ = 0 turn the standard deviations of readings into motions by B⁻¹ D; those
-    of the pose's coordinates, (dof,), are added. NaN at a type-2 singularity; ``frames`` are as
-    for ``platform_error``.
+    Conditions B δx + D δψ = 0 turn standard deviations sigma, (n_readings,), into motions by B⁻¹ D.
+    NaN at a type-2 singularity; ``frames`` are as for ``platform_error``.
     """
-    by_readings = least_squares(legs.pose, legs.reading * of_readings)
-    known = np.asarray(np.isfinite(by_readings).all(axis=(1, 2)))
-    twists = np.broadcast_to(np.diag(of_poses), (known.sum(), len(of_poses), len(of_poses)))
-    twists = np.concatenate((by_readings[known], twists), axis=2)
-    moved, units = seen_of(mechanism, legs.poses[known], twists, frames)
-    by_noise = np.full((len(known), 2), np.nan)
-    by_noise[known] = sizes(units, np.linalg.norm(moved, axis=2))
-    return by_noise
+    twists = least_squares(legs.pose, legs.reading * sigma)
+    known = np.asarray(np.isfinite(twists).all(axis=(1, 2)))
+    moved, units = seen_of(mechanism, legs.poses[known], twists[known], frames)
+    by_readings = np.full((len(known), 2), np.nan)
+    by_readings[known] = sizes(units, np.linalg.norm(moved, axis=2))
+    return by_readings
 
 
 @one_thread()

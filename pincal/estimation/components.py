@@ -241,15 +241,12 @@ def _group_covariances(linear: Linear, reading: float) -> Array:
     """Return the covariances V_g of white rows by the noise of each group, (g, N, m, m)."""
     problem, n_legs = linear.problem, linear.problem.leg_block.n_rows
     n_readings = problem.leg_block.n_readings
-    by_reading = np.zeros((*problem.active.shape, n_readings))
-    by_reading[:, :n_legs] = linear.by_measured
-    by_reading[~problem.active] = 0.0
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     if problem.latent:  # what was not measured is not noise of its group
         W = np.where(problem.active[:, None, n_legs:], W, 0.0)
     units = np.array([*problem.quantities.values()][n_readings:], dtype=str)
     of_groups = [W[:, :, units == unit] for unit in GROUPS]
-    of_groups.insert(_R, linear.white(reading * by_reading))
+    of_groups.insert(_R, linear.white(reading * linear.by_reading))
     groups = of_groups if "px" in units else of_groups[:3]
     return np.stack([part @ part.transpose(0, 2, 1) for part in groups])
 

@@ -157,6 +157,13 @@ class Linear:
         """Number of equations of each pose after its elimination, shape (N,)."""
         return self.problem.equations
 
+    @property
+    def by_reading(self) -> Array:
+        """Derivatives of all rows by readings, zero where unused, shape (N, k, n_readings)."""
+        active, (count, n_legs, n) = self.problem.active, self.by_measured.shape
+        rest = np.zeros((count, active.shape[1] - n_legs, n))
+        return np.where(active[:, :, None], np.concatenate((self.by_measured, rest), axis=1), 0.0)
+
     @cached_property
     def reading_root(self) -> Array:
         """Root of the readings' noise in the legs' rows, shape (N, k of legs, n_readings)."""
