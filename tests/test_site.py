@@ -65,6 +65,15 @@ def test_public_name_is_explained_and_has_an_example(name: str) -> None:
         assert not [one for one in taken if not re.search(rf"\b{one}\b", told)]
 
 
+def test_help_names_types_as_they_are_written() -> None:
+    """Signatures of public functions and methods say Poses and Array, not what these stand for."""
+    for name in pincal.__all__:
+        public = getattr(pincal, name)
+        methods = vars(public).values() if inspect.isclass(public) else ()
+        for function in filter(inspect.isfunction, (public, *methods)):
+            assert "numpy.ndarray" not in str(inspect.signature(function)), (name, function)
+
+
 def test_public_names_are_on_the_page_once() -> None:
     """The reference lists every public name, in one group."""
     listed = [name for own in GROUPS.values() for name in own.split()]

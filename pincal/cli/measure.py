@@ -5,8 +5,6 @@ measurements there as a line. A person, a growing file and a machine are treated
 one line per pose.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

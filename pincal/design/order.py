@@ -3,8 +3,6 @@
 Rounds mix the legs' poses, so that drift does not become an error of one leg.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

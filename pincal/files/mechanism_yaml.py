@@ -4,8 +4,6 @@ Unknown keys are refused by name and line. URDFs beside the file define the join
 the points of the platform.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path

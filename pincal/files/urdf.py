@@ -4,8 +4,6 @@ A joint that no leg can have is refused only where a leg needs it. A leg is the 
 to its tip; a platform's points are fixed to its root.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

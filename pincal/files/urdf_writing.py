@@ -1,7 +1,5 @@
 """Writing of URDF: a leg as a tree of joints with simple shapes, a platform as points on a link."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -5,6 +5,8 @@ equidistant fisheye (J. Kannala and S. Brandt 2006); coefficients have OpenCV's 
 signs. Camera axes point right, down and ahead; (0, 0) is the centre of the upper left pixel.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Input and output of a session: lines from a terminal, a page or an instrument, and replies."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 These are the residuals of rows, of cameras, and the platform's errors over the workspace.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
