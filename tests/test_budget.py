@@ -18,7 +18,7 @@ LINES = {
     "calibration": 6_888,
     "cli": 2_691,
     "design": 2_561,
-    "estimation": 4_602,
+    "estimation": 4_607,
     "files": 3_365,
     "formats": 3_445,
     "instruments": 1_541,

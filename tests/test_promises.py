@@ -215,7 +215,10 @@ def test_held_out_p_values_are_uniform(noise: pincal.Noise | None) -> None:
 
 
 def test_rows_to_verify_are_not_followed() -> None:
-    """Rows of the set verify change nothing in the fit, and are what validation predicts."""
+    """Rows of the set verify change nothing in the fit, and are what validation predicts.
+
+    A wrong one that is the only one is named.
+    """
     one = machine("3RRR", 60)
     data = drawn(one, NOISE, 0, 0.0)
     last = np.arange(len(data)) >= len(data) - 8
@@ -231,6 +234,10 @@ def test_rows_to_verify_are_not_followed() -> None:
     moved[last] += 1e-3
     wrong = validated(one.nominal, replace(marked, readings=moved), noise=NOISE)
     assert wrong.findings
+    only = replace(marked, readings=moved).rows(np.append(np.flatnonzero(~last), len(data) - 1))
+    (alone,) = validated(one.nominal, only, noise=NOISE).findings
+    assert (alone.code, alone.rows) == ("wrong-verification", (len(only) - 1,))
+    assert alone.values["total"] == 1
 
 
 def test_legs_alone_that_share_poses_have_fewer_freedoms() -> None:

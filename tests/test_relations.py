@@ -143,17 +143,19 @@ def test_heights_of_steps_are_those_of_the_second_row(tmp_path: Path) -> None:
 def test_wrong_pairs_are_named(tmp_path: Path) -> None:
     """A pair typed twice, of one row, of no row, in inches: refused, by its rows.
 
-    One that is 3 mm off is named by both of its rows, and left out by a robust loss.
+    One that is 3 mm off is named by both of its rows, and left out by a robust loss. One of the
+    only row to verify is named by the other row.
     """
     robot, _, points, readings = machine("linear_delta", 2)
     pairs = _pairs(points[:MARKS], NOISE, 2)
     a, b, apart = pairs[7]
 
     def calibrated(
-        changed: list[tuple[int, int, float]], **options: object
+        changed: list[tuple[int, int, float]], verified: str = "", **options: object
     ) -> pincal.CalibrationResult:
         rows, table = _written(tmp_path, robot, readings[:MARKS], changed)
         data = pincal.Measurements.from_csv(rows, robot, pairs=table, partial=True)
+        data = replace(data, sets=(*[""] * (MARKS - 1), verified))
         return pincal.calibrate(robot, data, noise=pincal.Noise(NOISE), **options)
 
     for changed, message in (
@@ -177,6 +179,12 @@ def test_wrong_pairs_are_named(tmp_path: Path) -> None:
         {"row 9", "distance to row 1"},
     )
     assert 0.9 < calibrated(off, loss="reject").reduced_chi2 < 1.2
+    a, b, apart = pairs[MARKS - 2]
+    assert (a, b) == (1, MARKS)
+    off = [*pairs[: MARKS - 2], (a, b, apart + 3e-3), *pairs[MARKS - 1 :]]
+    (remark,) = calibrated(off, "verify").validated().contradictions
+    assert remark.code == "wrong-verification"
+    assert remark.values["quantity"] == "distance to row 1"
 
 
 @pytest.mark.parametrize("extended", [True, False])

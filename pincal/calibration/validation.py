@@ -26,7 +26,7 @@ from pincal.errors import MeasurementError
 from pincal.estimation.components import GROUPS, Moments, predicted_squares
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.problem import Linear
-from pincal.estimation.robust import as_one
+from pincal.estimation.robust import as_one, most_off
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, suspected
@@ -77,7 +77,7 @@ def _held_out(fits: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]
         wrong += [replace(row, row=int(np.flatnonzero(fitting)[row.row])) for row in strays]
         fitting[[row.row for row in wrong]] = False
     if wrong and not robust and not validation.findings:
-        rows, total = [row.row for row in wrong], validation.rows + len(wrong)
+        rows, total = [row.row for row in wrong], int(calibration.measurements.verifying.sum())
         remark = finding("wrong-verification", rows, total=total, **values_of(wrong[0]))
         validation = replace(validation, findings=(remark,))
     sigma = np.full(len(fitting), np.nan)
@@ -287,11 +287,11 @@ def _stray_rows(
     if not few or _p_of_rows(fits, predicted, variances, ~wrong) < UNLIKELY:
         return []
     for place in np.flatnonzero(wrong).tolist():
-        sizes: list[tuple[float, str]] = []
-        for fit, served, linear in predicted:
-            noise = np.abs(linear.noise[served == place]).ravel().tolist()
-            sizes += zip(noise, fit.problem.quantities, strict=False)
-        off, quantity = max(sizes)
+        off, quantity = max(
+            most_off(linear, row)
+            for _, served, linear in predicted
+            for row in np.flatnonzero(served == place).tolist()
+        )
         stray = Outlier(
             row=int(rows[place]),
             legs=tuple(leg.name for fit, _, _ in predicted for leg in fit.problem.legs),

@@ -262,11 +262,11 @@ def predicted_squares(
     """
     _, P, W = part
     r, D = held.residuals[rows], _group_covariances(held, reading)[:, rows]
-    U, sizes, Vt = np.linalg.svd((held.jacobian[rows] @ W.T).reshape(r.size, -1), False)
+    U, sizes, Vt = np.linalg.svd((held.jacobian[rows] @ W.T).reshape(r.size, len(W)), False)
     along, unknown = r.ravel() @ U, sizes**2 / (1.0 + sizes**2)
     beside = r.ravel() - U @ along
     squares = float(beside @ beside + along**2 @ (1.0 / (1.0 + sizes**2)))
-    U = U.reshape(*r.shape, -1)
+    U = U.reshape(*r.shape, len(sizes))
     traces = np.einsum("gnii->g", D) - np.einsum("gnij,njk,nik->gk", D, U, U) @ unknown
     return squares, traces + np.einsum("gij,ki,kj->gk", P, Vt, Vt) @ unknown
 

@@ -118,24 +118,29 @@ def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Out
     left_out = outlying(relative, equations) & (fit.weights == 0.0)
     far = np.where(linear.equations > 0, linear.squares / max(scale, judged) ** 2, 0.0)
     listed_rows = (left_out | suspected(far, equations)) & (linear.equations > 0) & counted
-    quantities = tuple(fit.problem.quantities)
-    noise = np.abs(linear.noise[:, : len(quantities)]) / scale
-    observation = fit.problem.observation
-    marked = [place for place, name in enumerate(quantities) if name.startswith(f"measured {ROW}_")]
-    noise[:, marked] = 0.0  # the place of a row, which follows distances measured from it
-    worst = noise.argmax(axis=1)
+    worst = {int(i): most_off(linear, int(i)) for i in np.flatnonzero(listed_rows)}
     outliers = [
         Outlier(
             row=int(fit.rows[i]),
             legs=tuple(leg.name for leg in fit.problem.legs),
             sigma=as_one(float(relative[i]), int(equations[i])),
             weight=float(fit.weights[i]),
-            quantity=observation.named(quantities[worst[i]], int(i)),
-            off=float(noise[i, worst[i]]),
+            quantity=quantity,
+            off=sigma / scale,
         )
-        for i in np.flatnonzero(listed_rows)
+        for i, (sigma, quantity) in worst.items()
     ]
     return tuple(sorted(outliers, key=lambda outlier: -outlier.sigma))
+
+
+def most_off(linear: Linear, row: int) -> tuple[float, str]:
+    """Return by how much a row's worst quantity is off, in standard deviations, and its name.
+
+    The place of a row itself, which follows distances measured from it, does not count.
+    """
+    noise = zip(np.abs(linear.noise[row]).tolist(), linear.problem.quantities, strict=False)
+    sigma, name = max(pair for pair in noise if not pair[1].startswith(f"measured {ROW}_"))
+    return sigma, linear.problem.observation.named(name, row)
 
 
 def as_one(squares: float, equations: int) -> float:

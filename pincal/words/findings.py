@@ -112,7 +112,7 @@ FINDINGS: dict[str, Wording] = {
     "wrong-verification": Wording(
         "{rows|length} of {total} verification rows do{'es' if rows|length == 1} not fit: "
         "{'' if rows|length == 1 else 'worst '}data row {row}, by {sigma|f(0)} σ ({quantity} off "
-        "by {off|f(0)} σ); the others fit",
+        "by {off|f(0)} σ){'; the others fit' if rows|length < total}",
         "Measure {them} again, or leave {them} out (--loss reject)",
         title="a verification row does not fit",
     ),
