@@ -49,9 +49,10 @@ def drawn(name: str, sets: int) -> str:
         data = pincal.simulate(name, truth, plan, NOISE, seed=seed).measurements
         result = pincal.calibrate(name, data, noise=NOISE, tolerance="auto")
         for one in result.calibration.tolerances:
-            true = SIZES[one.unit]
-            if np.isfinite(one.size):
-                sizes[one.unit].append((one.size / true, one.low <= true <= one.high))
+            unit, size, low, high = (one.values[name] for name in ("unit", "size", "low", "high"))
+            true = SIZES[unit]
+            if np.isfinite(size):
+                sizes[unit].append((size / true, low <= true <= high))
         found = (p for leg in result.legs for p in leg.parameters)
         pairs = zip(found, truth.parameters, strict=True)
         within.append(np.mean([p.low <= true.nominal <= p.high for p, true in pairs]))

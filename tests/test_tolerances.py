@@ -78,11 +78,11 @@ def test_sizes_are_found_and_said() -> None:
     """Intervals hold the sizes drawn; the result says them, and keeps them as its options."""
     _, data = drawn("3RRR", 24, seed=2)
     result = pincal.calibrate("3RRR", data, noise=NOISE, tolerance="auto")
-    assert {one.unit for one in result.calibration.tolerances} == {"m", "rad", "1"}
-    for one in result.calibration.tolerances:
-        assert one.low < SIZES[one.unit] < one.high
-        assert result.options.tolerance[one.unit] == one.size
     said = [one for one in result.findings if one.code == "tolerance-found"]
+    assert {one.values["unit"] for one in said} == {"m", "rad", "1"}
+    for one in said:
+        assert one.values["low"] < SIZES[one.values["unit"]] < one.values["high"]
+        assert result.options.tolerance[one.values["unit"]] == one.values["size"]
     assert [one.severity for one in said] == ["info"] * 3
     again = pincal.calibrate("3RRR", data, noise=NOISE, tolerance=result.options.tolerance)
     values = [[p.identified for leg in one.legs for p in leg.parameters] for one in (result, again)]
@@ -119,7 +119,7 @@ def test_sizes_are_found_where_noise_is_larger_than_assumed() -> None:
     setup = pincal.Setup(True, {"platform": pincal.Target(unknown=True)})
     result = pincal.calibrate(arm, replace(data, poses=poses), setup=setup, tolerance="auto")
     for tolerance in result.calibration.tolerances:
-        assert tolerance.low < 4e-3 < tolerance.high
+        assert tolerance.values["low"] < 4e-3 < tolerance.values["high"]
 
 
 def test_units_of_too_few_parameters_are_free() -> None:
@@ -137,7 +137,7 @@ def test_a_machine_as_drawn_is_found_as_drawn() -> None:
     _, data = drawn("3RRR", 24, 3, dict.fromkeys(SIZES, 0.0))
     result = pincal.calibrate("3RRR", data, noise=NOISE, tolerance="auto")
     free = pincal.calibrate("3RRR", data, noise=NOISE)
-    assert [one.low for one in result.calibration.tolerances] == [0.0] * 3
+    assert [one.values["low"] for one in result.calibration.tolerances] == [0.0] * 3
     assert np.trace(result.covariance) < 0.5 * np.trace(free.covariance)
 
 
@@ -147,7 +147,7 @@ def test_sizes_of_a_single_pose_lie_in_their_intervals() -> None:
     _, data = drawn("3RRR", 24, seed=2)
     result = pincal.calibrate("3RRR", data.rows(np.arange(1)), noise=NOISE, tolerance="auto")
     for one in result.calibration.tolerances:
-        assert one.low <= one.size <= one.high
+        assert one.values["low"] <= one.values["size"] <= one.values["high"]
 
 
 def test_a_single_pose_is_said_to_be_few() -> None:

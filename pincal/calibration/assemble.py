@@ -211,13 +211,12 @@ def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
         values = np.zeros_like(unknowns.nominal)
         values[: len(fit.parameters)] = fit.parameters - unknowns.nominal[: len(fit.parameters)]
         for tolerance in fits_of_all.calibration.tolerances:
-            of_unit = np.array([units.get(id_) == tolerance.unit for id_ in unknowns.labels])
-            # other parameters have a given prior
-            tolerated = of_unit & (unknowns.priors == tolerance.size)
-            pull = np.where(tolerated, values / tolerance.size**2, 0.0)
-            determined = (
-                tolerated.sum() - np.diagonal(fit.covariance)[tolerated].sum() / tolerance.size**2
-            )
+            unit, size = tolerance.values["unit"], tolerance.values["size"]
+            of_unit = np.array([units.get(id_) == unit for id_ in unknowns.labels])
+            tolerated = of_unit & (unknowns.priors == size)  # others have a given prior
+            pull = np.where(tolerated, values / size**2, 0.0)
+            known = np.diagonal(fit.covariance)[tolerated].sum() / size**2
+            determined = tolerated.sum() - known
             unsure = np.sqrt(2.0 / max(determined, 0.5))  # of the logarithm; at most a factor of e²
             follows = unsure / fit.noise_scale**2 * (fit.covariance @ pull)
             widening = widening + np.outer(follows, follows)

@@ -36,8 +36,7 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     if held is not None and (held.groups or held.weak):  # a misfit may be why a search went astray
         place = astray if held.fewest else first
         place.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
-    first += [*_zeros_found(result)]
-    first += [finding("tolerance-found", **vars(size)) for size in result.calibration.tolerances]
+    first += [*_zeros_found(result), *result.calibration.tolerances]
     few = _few_poses(result)
     if rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise

@@ -380,11 +380,12 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
         estimates |= zip(sought, zip(sizes.tolist(), *ends.T.tolist(), strict=True), strict=True)
         if np.abs(np.log(sizes / last)).max() <= SETTLED:
             break
-    tolerances = [
-        components.FoundTolerance(unit, *estimates[unit], len(ids)) for unit, ids in units.items()
-    ]
+    tolerances = tuple(
+        finding("tolerance-found", unit=unit, size=size, low=low, high=high, count=len(units[unit]))
+        for unit, (size, low, high) in estimates.items()
+    )
     known = dict(zip(sought, sizes.tolist(), strict=True))
-    return replace(calibration.with_options(tolerance=known), tolerances=tuple(tolerances))
+    return replace(calibration.with_options(tolerance=known), tolerances=tolerances)
 
 
 def _ids_with_tolerance(calibration: Calibration) -> dict[str, list[str]]:

@@ -308,21 +308,6 @@ class Evidence(NamedTuple):
         return float(every[n] ** 2 + 2.0 * np.log(every[:n]).sum() - 2.0 * np.log(prior_only).sum())
 
 
-@dataclass(frozen=True)
-class FoundTolerance:
-    """How far the parameters of one unit differ from the drawing."""
-
-    unit: str
-    """``"m"``, ``"rad"`` or ``"1"``."""
-    size: float
-    """Standard deviation of the parameters, [unit]; infinite if it is not determined."""
-    low: float
-    high: float
-    """Ends of its 95 % interval; 0 where the drawing may be exact, infinite without an end."""
-    count: int
-    """Number of parameters of this unit without a given prior."""
-
-
 def likeliest(
     parts: Sequence[Evidence], start: Array, within: tuple[Array, Array], rise: float
 ) -> tuple[Array, Array]:

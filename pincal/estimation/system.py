@@ -89,16 +89,19 @@ def outlying(squares: Array, equations: Index) -> Mask:
 
 
 def suspected(squares: Array, equations: Index) -> Mask:
-    """Return which rows are outliers by Holm's procedure (S. Holm 1979), shape (N,).
+    """Return which rows are outliers by Holm's procedure, shape (N,).
 
     One sound set of rows in a hundred has any, however many rows it has.
     """
-    p = chdtrc(np.maximum(equations, 1), squares)
-    order = np.argsort(p)
-    clear = p[order] <= FALSE_ALARM / (len(p) - np.arange(len(p)))
-    outliers = np.zeros(len(p), dtype=bool)
-    outliers[order[: len(p) if clear.all() else int(np.argmin(clear))]] = True
-    return outliers
+    return holm(chdtrc(np.maximum(equations, 1), squares)) <= FALSE_ALARM
+
+
+def holm(p_values: Array, tests: int | None = None) -> Array:
+    """Return p-values corrected for a number of tests, (n,), by default n (S. Holm 1979)."""
+    order, corrected = np.argsort(p_values, kind="stable"), np.empty(len(p_values))
+    times = np.maximum((tests or len(order)) - np.arange(len(order)), 1)
+    corrected[order] = np.maximum.accumulate(np.minimum(times * p_values[order], 1.0))
+    return corrected
 
 
 def robust_scale(squares: Array, equations: Index, share: float) -> float:

@@ -13,6 +13,7 @@ from pincal.calibration.history import History
 from pincal.calibration.many import MonteCarlo, error_columns
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
+from pincal.estimation.system import holm
 from pincal.files.journal import FAILURE, Columns, Row
 from pincal.model import Mechanism, Parameter, Plan
 from pincal.model.checks import counted
@@ -151,12 +152,9 @@ def warned_by_chance(columns: Columns) -> NDArray[np.bool_]:
 
     All tests of a line are one family with the level of a single test (Holm 1979).
     """
-    p = np.nan_to_num(columns["p_warnings"], nan=1.0)
-    order, tests = np.argsort(p, kind="stable"), _TESTS * len(p) - np.arange(len(p))
-    clear = np.logical_and.accumulate(p[order] <= _ALARM / tests)
-    by_chance = np.isfinite(columns["p_warnings"])
-    by_chance[order[clear]] = False
-    return by_chance
+    p_values = columns["p_warnings"]
+    corrected = holm(np.nan_to_num(p_values, nan=1.0), _TESTS * len(p_values))
+    return np.asarray(np.isfinite(p_values) & (corrected > _ALARM))
 
 
 def batch_lines(columns: Columns, mechanism: Mechanism) -> tuple[list[str | Table], list[str]]:

@@ -22,7 +22,7 @@ from pincal.calibration.terms.candidates import with_columns, with_terms
 from pincal.calibration.terms.kinds import GROWTH, PERIOD, Kind, Pair, parts_of
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.residuals import Amplitudes, Residuals
-from pincal.estimation.system import CLEAR, FALSE_ALARM
+from pincal.estimation.system import CLEAR, FALSE_ALARM, holm
 from pincal.estimation.unknowns import State
 from pincal.types import Array, Index
 from pincal.words.numbers import UNITS
@@ -79,9 +79,8 @@ def screened(parts: Sequence[tuple[Residuals, Sequence[Candidate]]]) -> list[Can
     ]
     tried.sort(key=lambda entry: (entry[0].p_value, -entry[0].share))
     ranked = np.array([candidate.rank > 0 for candidate, _ in tried], dtype=bool)
-    times = np.count_nonzero(ranked) - np.arange(len(tried))
-    chances = np.clip(times * [candidate.p_value for candidate, _ in tried], 0.0, 1.0)
-    chances = np.where(ranked, np.maximum.accumulate(chances), 1.0)  # Holm 1979
+    p_values = np.array([candidate.p_value for candidate, _ in tried])
+    chances = np.where(ranked, holm(p_values, int(ranked.sum())), 1.0)
     candidates = [
         replace(candidate, corrected=chance)
         for (candidate, _), chance in zip(tried, chances.tolist(), strict=True)
