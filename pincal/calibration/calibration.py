@@ -1,11 +1,9 @@
 """A calibration to be run: mechanism, measurements and options, and the problems they pose."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -75,7 +73,7 @@ class Calibration:
             self.mechanism, self.measurements, self.options.noise, self.options.setup
         )
 
-    def with_noise(self, noise: Noise) -> Calibration:
+    def with_noise(self, noise: Noise) -> Self:
         """Return the calibration with estimated noise; columns of pixels' noise are scaled."""
         data, before = self.measurements, self.noise
         scaled = {n: s * (noise.pixel / before.noise.pixel) for n, s in data.sigma_extra.items()}
@@ -83,16 +81,16 @@ class Calibration:
         model = noise_model(self.mechanism, data, noise, self.options.setup)
         return replace(self, measurements=data, known_noise=replace(model, source=before.source))
 
-    def at_this_noise(self) -> Calibration:
+    def at_this_noise(self) -> Self:
         """Return the calibration with its noise as it is, not estimated again."""
         options = replace(self.options, noise=self.noise.noise)
         return replace(self, options=options, known_noise=self.noise, fixed_noise=True)
 
-    def with_options(self, **changes: Any) -> Calibration:
+    def with_options(self, **changes: Any) -> Self:
         """Return the calibration with other options, its noise as it is."""
         return replace(self, options=replace(self.options, **changes), known_noise=self.noise)
 
-    def rows(self, chosen: Index | Mask) -> Calibration:
+    def rows(self, chosen: Index | Mask) -> Self:
         """Return the calibration on some of its rows, their noise as it is."""
         noise = self.noise
         known = replace(noise, poses=noise.poses.rows(chosen), readings=noise.readings[chosen])

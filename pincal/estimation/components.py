@@ -7,11 +7,9 @@ restricted maximum likelihood estimator (Patterson and Thompson 1971; Helmert, i
 covariance is 2 F⁻¹. How far machines differ from their drawing is estimated by the evidence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -51,7 +49,7 @@ class Moments:
     n_free); and R⁻ᵀ Tᵀ, whose squared columns are the unknowns' variances, (n_free, n)."""
 
     @classmethod
-    def of(cls, fits: Sequence[Fit], reading: float) -> Moments:
+    def of(cls, fits: Sequence[Fit], reading: float) -> Self:
         """Return the moments of fits, one for each group of legs, at their noise.
 
         The variance of readings is relative to the square of ``reading``, [rad] or [m].
@@ -86,7 +84,7 @@ class Moments:
         R = np.linalg.cholesky(scaled).T
         return np.asarray(size * nnls(R, np.linalg.solve(R.T, right))[0])
 
-    def off_zero(self, *, exact: bool) -> Moments:
+    def off_zero(self, *, exact: bool) -> Self:
         """Return moments by which no variance is zero, except that of readings that may be exact.
 
         The likelihood is multiplied by each standard deviation over their mean (expanded here):
@@ -284,7 +282,7 @@ class Evidence(NamedTuple):
     """The group of each deviation, from 0, shape (k,)."""
 
     @classmethod
-    def of(cls, fit: Fit, groups: dict[str, int]) -> Evidence:
+    def of(cls, fit: Fit, groups: dict[str, int]) -> Self:
         """Return the evidence of a fit for groups of parameter ids, without their priors."""
         labels, unknowns = fit.unknowns.labels, fit.unknowns
         places = [place for place, id_ in enumerate(labels) if id_ in groups]

@@ -1,9 +1,8 @@
 """The fit of one problem: the search, then covariance, rank and χ² at its end."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy.special import chdtri
@@ -56,7 +55,7 @@ class Fit(SolverResult):
     exact: int = 0
     """Degrees of freedom of readings whose estimated noise is at its floor (exact readings)."""
 
-    def at_noise_of(self, problem: Problem) -> Fit:
+    def at_noise_of(self, problem: Problem) -> Self:
         """Return the fit of a problem with other noise, to first order without a new search."""
         system, last = replace(self.system, problem=problem), replace(self.last, problem=problem)
         scale = self.scale if system.loss is None else system.scale(last.squares)

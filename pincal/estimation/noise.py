@@ -4,13 +4,11 @@ A tracker measures a range and two angles, so its errors of x, y and z are corre
 farther away it stands.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -48,10 +46,10 @@ class RowNoise:
         roots.setflags(write=False)
         return roots
 
-    def rows(self, chosen: Index | Mask) -> RowNoise:
+    def rows(self, chosen: Index | Mask) -> Self:
         """Return the noise of some rows."""
-        correlation = self.correlation
-        return RowNoise(self.sigma[chosen], None if correlation is None else correlation[chosen])
+        correlation = None if self.correlation is None else self.correlation[chosen]
+        return replace(self, sigma=self.sigma[chosen], correlation=correlation)
 
 
 @dataclass(frozen=True)

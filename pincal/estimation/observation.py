@@ -10,12 +10,10 @@ or a distance from row to row, measured from one row's target to the point where
 target was. It holds at the rows whose column names one of its features.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 
@@ -108,11 +106,11 @@ class Observation:
         row_point = [*self.setup.touched][self.meets[row, [*self.setup.distances].index(name)]]
         return f"{name.partition('_')[0]} to {row_point.replace('_', ' ', 1)}"
 
-    def only(self, names: Sequence[str]) -> Observation:
+    def only(self, names: Sequence[str]) -> Self:
         """Return the observation with only the named quantities measured."""
         return self.changed(measured=self.measured & np.isin(self.names, list(names)))
 
-    def anywhere(self) -> Observation:
+    def anywhere(self) -> Self:
         """Return the observation with every quantity measured in all rows if it is in some.
 
         Orientations are as predicted at any pose. Contacts and distances between rows are left as
@@ -127,7 +125,7 @@ class Observation:
             orientations=np.full_like(self.orientations, np.nan),
         )
 
-    def visible(self, matrices: Array, external: External) -> Observation:
+    def visible(self, matrices: Array, external: External) -> Self:
         """Return the observation without the points that cameras do not see at the poses.
 
         ``matrices`` are ``T_base_platform``, shape (N, 4, 4).
@@ -155,13 +153,13 @@ class Observation:
             yield instrument, columns, places
             begin = columns.stop
 
-    def at(self, rows: Index) -> Observation:
+    def at(self, rows: Index) -> Self:
         """Return the observation at some rows."""
         arrays = ("measured", "orientations", "_values", "conditions")
         parts = {name: getattr(self, name)[rows] for name in (*arrays, "meets")}
         return self.changed(noise=self.noise.rows(rows), **parts)
 
-    def changed(self, **changes: object) -> Observation:
+    def changed(self, **changes: object) -> Self:
         """Return the observation with other attributes, such as ``noise``."""
         changed = copy(self)
         vars(changed).update(changes)

@@ -13,10 +13,8 @@ chapter 9; A. J. Pope, Some pitfalls to be avoided in the iterative adjustment o
 problems, 1972.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -82,7 +80,7 @@ class Iterate(NamedTuple):
     """Normal equations of the next step."""
 
     @classmethod
-    def of(cls, system: System, linear: Linear) -> Iterate:
+    def of(cls, system: System, linear: Linear) -> Self:
         """Return the iterate at given conditions."""
         judged = adjusted(linear) if system.adjusted else linear
         weights, scale = system.weights(linear.squares)

@@ -7,12 +7,10 @@ parameters of instruments. Fixed parameters, tied parameters and gauge freedoms 
 φ = φ₀ + T z with fewer z than φ. Priors are rows beside those of the measurements.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import qr
@@ -59,7 +57,7 @@ class State:
     external: External = field(default_factory=External)
     """Unknowns outside the mechanism."""
 
-    def rows(self, chosen: Index) -> State:
+    def rows(self, chosen: Index) -> Self:
         """Return the state at some poses."""
         joints = tuple(positions[chosen] for positions in self.joints)
         return replace(self, matrices=self.matrices[chosen], joints=joints)
@@ -234,7 +232,7 @@ class Unknowns:
         _, prior = self.prior_rows(self.start)
         return np.concatenate((J.reshape(-1, J.shape[-1]) @ self.map, prior))
 
-    def held(self, directions: Array) -> Unknowns:
+    def held(self, directions: Array) -> Self:
         """Return the unknowns restricted to g · z = 0 for directions g of shape (k, n_free)."""
         lost = len(directions)
         _, R, order = qr(directions, mode="economic", pivoting=True)
@@ -247,12 +245,13 @@ class Unknowns:
         T[np.abs(T) <= ROUNDING * np.abs(T).max(axis=0, initial=0.0)] = 0.0
         return replace(self, map=T, free_labels=tuple(self.free_labels[i] for i in lead))
 
-    def part(self, legs: Sequence[str]) -> Unknowns:
+    def part(self, legs: Sequence[str]) -> Self:
         """Return the unknowns of some legs."""
         owners = [label.partition(".")[0] for label in self.labels]
         rows = np.flatnonzero(np.isin(owners, list(legs)))
         columns = np.flatnonzero((self.map[rows] != 0.0).any(axis=0))
-        return Unknowns(
+        return replace(
+            self,
             labels=tuple(self.labels[i] for i in rows),
             start=self.start[rows],
             map=self.map[np.ix_(rows, columns)],

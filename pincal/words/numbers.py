@@ -4,12 +4,10 @@ One table of units serves headers, options and all output. Values are in the SI 
 ``"rad"`` or ``"1"`` (pixels: ``"px"``); an argument ``units`` maps SI units to displayed units.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import floor, isfinite, log10, pi
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 
@@ -163,7 +161,7 @@ class Units:
     """Rounding step of values in SI, not of standard deviations; 0 writes every bit."""
 
     @classmethod
-    def of(cls, text: str, counts: Mapping[str, float], readings: Iterable[str] = ()) -> Units:
+    def of(cls, text: str, counts: Mapping[str, float], readings: Iterable[str] = ()) -> Self:
         """Parse a list such as ``mm,deg,counts``; numbers are rounded as by ``WRITTEN``.
 
         ``counts`` are encoder counts per rad or m by reading; if the list names counts, all of

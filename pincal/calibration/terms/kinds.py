@@ -4,10 +4,9 @@ Options are ``leg_1=harmonics:1,2``. A place is a reading, a length or angle by 
 by name in all legs (``l``), ``growth`` for all lengths as one, or by default every reading.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 
@@ -49,7 +48,7 @@ class Kind(str):
     """A kind of term in the form of options: ``harmonics:1``, ``backlash``, or a column's name."""
 
     @classmethod
-    def of(cls, text: str) -> Kind:
+    def of(cls, text: str) -> Self:
         """Return the kind that a text names; numbers equal to the default ones are dropped."""
         name, colon, numbers = (part.strip() for part in text.partition(":"))
         texts = [number.replace(" ", "") for number in numbers.split(",")] if colon else []

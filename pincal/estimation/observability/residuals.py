@@ -13,10 +13,8 @@ If the model lacks nothing, the part of χ² along M W is like any other: an F t
 Wᵀ M W = WᵀW − (QᵀW)ᵀ QᵀW.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.special import fdtrc
@@ -142,7 +140,7 @@ class Residuals:
     degrees_of_freedom: int
 
     @classmethod
-    def of(cls, fit: Fit) -> Residuals:
+    def of(cls, fit: Fit) -> Self:
         """Return the residuals of a fit."""
         left = fit.last.residuals[fit.good] - fit.Q @ fit.normal.c
         return cls(np.flatnonzero(fit.good), left, fit.Q, fit.normal.left, fit.degrees_of_freedom)
@@ -162,16 +160,16 @@ class Residuals:
         F = inside / rank / noise
         return Amplitudes(-C @ along, std, F, rank, inside, float(fdtrc(rank, free, F)))
 
-    def without(self, W: Array) -> Residuals:
+    def without(self, W: Array) -> Self:
         """Return the residuals after fitting errors with white rows W, shape (n_used, m, f)."""
         C, along, _ = self._resolved(W)
         U = W @ C - self.Q @ (over_rows(self.Q, W) @ C)
-        return Residuals(
-            self.used,
-            self.left - U @ along,
-            np.concatenate((self.Q, U), axis=2),
-            self.chi2 - float(along @ along),
-            self.degrees_of_freedom - len(along),
+        return replace(
+            self,
+            left=self.left - U @ along,
+            Q=np.concatenate((self.Q, U), axis=2),
+            chi2=self.chi2 - float(along @ along),
+            degrees_of_freedom=self.degrees_of_freedom - len(along),
         )
 
     def alike_after(self, W: Array, errors: Array) -> float:
