@@ -16,7 +16,7 @@ from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.observability.residuals import together
 from pincal.estimation.system import FALSE_ALARM
 from pincal.finding import Finding
-from pincal.model import ORIGIN, Measurements
+from pincal.model import ORIGIN, Measurements, Noise
 from pincal.model.checks import ROUNDING
 from pincal.types import Index
 from pincal.words.findings import finding
@@ -96,19 +96,22 @@ def _leg_parameters(result: CalibrationResult) -> list[IdentifiedParameter]:
 
 
 def _noise_findings(result: CalibrationResult) -> list[Finding]:
-    dof, chi2, noise = result.degrees_of_freedom, result.reduced_chi2, result.noise
-    if noise and result.noise_source == "estimated":
-        columns = result.calibration.observation
-        measured = np.array(columns.units)[columns.measured.any(axis=0)]
-        kinds = (("position", "m"), ("orientation", "rad"), ("pixel", "px"))
-        values: dict[str, Any]
-        values = {k: getattr(noise, k) if unit in measured else None for k, unit in kinds}
-        units = sorted(set(result.nominal.reading_units))
-        return [finding("noise-estimated", **values, reading=noise.reading, units=units)]
+    dof, chi2 = result.degrees_of_freedom, result.reduced_chi2
+    if result.noise and result.noise_source == "estimated":
+        return [finding("noise-estimated", **noise_values(result, result.noise))]
     if not dof or UNEXPLAINED <= result.chi2_p_value <= 1.0 - UNEXPLAINED:
         return []
     code = "chi2-too-large" if chi2 > 1.0 else "chi2-too-small"
     return [finding(code, chi2=chi2, dof=dof, source=result.noise_source)]
+
+
+def noise_values(result: CalibrationResult, noise: Noise) -> dict[str, Any]:
+    """Return the sizes of a noise by name, None of what was not measured, and reading units."""
+    columns = result.calibration.observation
+    measured = np.array(columns.units)[columns.measured.any(axis=0)]
+    kinds = (("position", "m"), ("orientation", "rad"), ("pixel", "px"))
+    sizes = {k: getattr(noise, k) if unit in measured else None for k, unit in kinds}
+    return {**sizes, "reading": noise.reading, "units": sorted(set(result.nominal.reading_units))}
 
 
 def _noise_proportion(fits: Fits) -> list[Finding]:

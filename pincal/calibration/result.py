@@ -311,11 +311,11 @@ class CalibrationResult:
     def report(self, **origin: Any) -> Report:
         """Return the report as a page, with ``html()`` and ``save(path)``; notebooks show it.
 
-        Options are ``command``, ``files`` and ``date``, which the page names; ``units`` of its
-        numbers, such as ``"in,deg"``; and ``workspace``, poses or their file for mean errors.
+        Options are ``command``, ``files`` and ``date``, which the page names; and ``workspace``,
+        poses or their file for mean errors.
 
         Raises:
-            PincalError: a file cannot be read, or a unit is not understood.
+            PincalError: a file cannot be read.
         """
 
     @property

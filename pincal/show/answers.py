@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from scipy.special import gammaincinv
 
+from pincal.calibration.findings import noise_values
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.validation import MISSES
 from pincal.errors import MechanismError
@@ -284,18 +285,9 @@ def _noise_line(result: CalibrationResult) -> str:
 
 def noise_line(result: CalibrationResult) -> str:
     """Return the source of the noise, and the standard deviations of the measurements."""
-    noise, observed = result.noise, result.calibration.observation
-    if noise is None:
+    if result.noise is None:
         return "by row, from the columns of the measurements"
-    columns = zip(observed.units, observed.measured.T, strict=True)
-    measured = {unit for unit, values in columns if values.any()}
-    sizes = noise_in_words(
-        noise.position if "m" in measured else None,
-        noise.orientation if "rad" in measured else None,
-        noise.reading,
-        sorted(set(result.nominal.reading_units)),
-        noise.pixel if "px" in measured else None,
-    )
+    sizes = noise_in_words(**noise_values(result, result.noise))
     return f"{NOISE_SOURCES[result.noise_source]}: σ {sizes}"
 
 
