@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
+from yaml import safe_load
 
 import pincal
+from pincal.files.urdf import read_urdf
 from pincal.files.urdf_writing import leg_links, leg_urdf
 
 LIMIT = '<limit effort="1" velocity="20"/>'
@@ -290,3 +294,69 @@ def ankle(folder: Path) -> Path:
         "joint_name: [ball0, ball1]\njoint_type: [SPHERICAL, SPHERICAL]\nplatform: foot\n"
     )
     return written(folder, urdf("ankle", joints, "shin"), yaml)
+
+
+def as_sdf(urdf: Path, seed: int) -> Path:
+    """Write a URDF with a robot.yaml as SDF with random frames, and return the SDF.
+
+    Poses are given in links, joints or frames drawn at random, from where the URDF has all links.
+    Loops are balls, which join two links that other joints carry already.
+    """
+    rng, tree = np.random.default_rng(seed), read_urdf(urdf)
+    yaml = safe_load((urdf.parent / "robot.yaml").read_text())
+    balls = dict(zip(yaml.get("joint_name", ()), yaml.get("joint_type", ()), strict=True))
+    T_link = {link: tree.pose_at_zero(link) for link in tree.links}
+
+    def drawn() -> np.ndarray:
+        frame = np.eye(4)
+        frame[:3, :3], frame[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
+        return frame
+
+    base = drawn()
+    T = {"__model__": np.eye(4), **{link: base @ T_link[link] for link in T_link}}
+
+    def pose(at: np.ndarray, known: Sequence[str]) -> str:
+        frame = str(rng.choice(known))
+        in_frame = np.linalg.inv(T[frame]) @ at
+        turn = Rotation.from_matrix(in_frame[:3, :3]).as_euler("xyz")
+        return f'<pose relative_to="{frame}">{vector(*in_frame[:3, 3], *turn)}</pose>'
+
+    frames = []
+    for i in range(3):
+        place, known = drawn(), ["__model__", *(f"frame_{k}" for k in range(i))]
+        frames.append(f'<frame name="frame_{i}">{pose(place, known)}</frame>')
+        T[f"frame_{i}"] = place
+    placed = ["__model__", "frame_0", "frame_1", "frame_2"]
+    links = []
+    for link in tree.links:
+        links.append(f'<link name="{link}">{pose(T[link], placed)}</link>')
+        placed.append(link)
+    joints = []
+
+    def add(name: str, kind: str, parent: str, child: str, at: np.ndarray, rest: str = "") -> None:
+        ends = f"<parent>{parent}</parent><child>{child}</child>"
+        joints.append(f'<joint name="{name}" type="{kind}">{pose(at, placed)}{ends}{rest}</joint>')
+
+    for edge in tree.edges:
+        joint, at = edge.joint, T[edge.child]
+        if joint.name in balls:
+            add(joint.name, "ball", edge.parent, edge.child, at)
+        elif joint.kind == "fixed":
+            add(joint.name, "fixed", edge.parent, edge.child, at)
+        else:
+            frame, way = str(rng.choice(placed)), T[edge.child][:3, :3] @ joint.axis
+            axis = f'<xyz expressed_in="{frame}">{vector(*(T[frame][:3, :3].T @ way))}</xyz>'
+            turn = np.eye(4)  # a joint's own frame may be turned anyhow, not moved
+            turn[:3, :3] = Rotation.random(rng=rng).as_matrix()
+            add(joint.name, joint.kind, edge.parent, edge.child, at @ turn, f"<axis>{axis}</axis>")
+    child = {edge.joint.name: edge.child for edge in tree.edges}
+    for i, (a, b) in enumerate(yaml["closed_loop"]):
+        add(f"loop_{i}", "ball", child[a], child[b], T[child[a]])
+    motors = [j for j in child if any(part in j for part in yaml["name_mot"])]
+    plugin = "".join(f"<joint_name>{name}</joint_name>" for name in motors)
+    plugin = f'<plugin filename="joint-position-controller" name="p">{plugin}</plugin>'
+    parts = [*frames, *rng.permutation(links + joints), plugin]
+    file = urdf.with_suffix(".sdf")
+    text = f'<sdf version="1.9"><model name="m" canonical_link="{tree.root}">{"".join(parts)}'
+    file.write_text(text + "</model></sdf>")
+    return file

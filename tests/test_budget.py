@@ -15,14 +15,14 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 256,
     "architectures": 616,
-    "calibration": 6_886,
+    "calibration": 6_891,
     "cli": 2_691,
     "design": 2_561,
     "estimation": 4_583,
-    "files": 3_365,
-    "formats": 3_445,
+    "files": 3_366,
+    "formats": 3_673,
     "instruments": 1_541,
-    "kinematics": 3_409,
+    "kinematics": 3_418,
     "model": 3_570,
     "show": 4_156,
     "symmetry": 1_326,
@@ -31,7 +31,7 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 174,
+    "files": 175,
     "page lines": 900,
     "largest folder": 16,
     "vague names": 0.01,

@@ -8,7 +8,7 @@ from pathlib import Path
 import neighbours
 import numpy as np
 import pytest
-from command_line import done
+from command_line import done, run
 from machines import agile_eye, four_bar, four_bar_pose, hybrid, six_rods, tricept
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -415,6 +415,52 @@ def test_a_urdf_may_close_its_loops_itself(form: str, kind: str, tmp_path: Path)
     readings = np.linspace(-0.5, 0.5, 9)[:, None]
     found = pincal.forward(tmp_path / "four_bar", readings)
     np.testing.assert_allclose(four_bar_gaps(readings, found.poses), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("write", "platform"),
+    [
+        (neighbours.four_bar, "coupler"),
+        (neighbours.coupled_five_bar, "b2"),
+        pytest.param(neighbours.six_rod_delta, "top", marks=pytest.mark.slow),
+        (neighbours.ankle, "foot"),
+    ],
+)
+def test_sdf_is_the_machine_that_a_urdf_is(write, platform: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """Written as SDF in frames drawn at random, a machine has equal legs, and moves as before."""
+    file = write(tmp_path / "cad")
+    asked = ("--platform", platform, "-o")
+    sdf = neighbours.as_sdf(file, 1).rename(tmp_path / "robot.sdf")
+    done("import", file, *asked, tmp_path / "urdf")
+    done("import", sdf, *asked, tmp_path / "sdf")
+    urdf, mechanism = (pincal.load_mechanism(tmp_path / form) for form in ("urdf", "sdf"))
+    assert len(urdf.parameters) == len(mechanism.parameters)
+    names = [[sensor.joint for leg in m.legs for sensor in leg.sensors] for m in (urdf, mechanism)]
+    readings = np.random.default_rng(2).uniform(-0.2, 0.2, (10, len(names[0])))
+    poses = pincal.forward(urdf, readings).poses
+    again = pincal.forward(mechanism, readings[:, [names[0].index(name) for name in names[1]]])
+    shifts = mechanism.platform.matrices(again.poses) @ np.linalg.inv(urdf.platform.matrices(poses))
+    np.testing.assert_allclose(shifts, shifts[:1] + 0.0 * shifts, atol=1e-12)  # of the base
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('<pose relative_to="', '<pose degrees="true" relative_to="', "'degrees' may place links"),
+        ("</model>", "<include><uri>a</uri></include></model>", "one model, without <include>"),
+        ('version="1.9"', 'version="1.4"', "SDF 1.5 or newer"),
+        ("<parent>base</parent>", "<parent>floor</parent>", "it is on 'floor', which is no link"),
+        ('type="revolute"', 'type="screw"', "is of type 'screw'"),
+        ("<axis>", "<axis><thread_pitch/>", "'thread_pitch' may place links"),
+    ],
+)
+def test_sdf_that_is_not_read_is_refused(old: str, new: str, words: str, tmp_path: Path) -> None:
+    """What may place a link is read, or refused by its name and line; no folder is written."""
+    file = neighbours.as_sdf(neighbours.four_bar(tmp_path), 0)
+    file.write_text(file.read_text().replace(old, new))
+    outcome = run("import", file, "-o", tmp_path / "out")
+    assert (outcome.code, (tmp_path / "out").exists()) == (2, False)
+    assert words in outcome.trouble
 
 
 def test_a_universal_joint_may_close_a_loop(tmp_path: Path) -> None:

@@ -189,8 +189,13 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
             for leg in block.leg_rows
         )
         twists.append([twist[leg.rows] for twist, leg in zip(undone, result.legs, strict=True)])
-    off = np.concatenate([(a - b).ravel() for a, b in zip(*twists, strict=True)])
-    ratio = np.abs(off).max(initial=0.0) / max(1.0, machine.size)
+    legs = zip(calibration.mechanism.legs, machine.legs, strict=True)
+    resized = [abs(again.size / drawn.size - 1.0) for drawn, again in legs]  # it weighs turns
+    off = [
+        (np.abs(a - b) - change * np.abs(a)).max(initial=0.0)
+        for a, b, change in zip(*twists, resized, strict=True)
+    ]
+    ratio = np.max(off) / max(1.0, machine.size)
     if not ratio <= REPRODUCED:  # NaN neither
         raise PincalError(
             "the calibrated mechanism, read back, does not give the residuals of its calibration "

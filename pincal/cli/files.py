@@ -28,7 +28,7 @@ from pincal.show.report import mechanism_lines
 
 PROBING = "probing.csv"
 _LARGE = 20.0  # size of a leg that is doubted, [m]
-InputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "marlin"]
+InputFormat = Literal["urdf", "sdf", "mjcf", "klipper", "reprap", "marlin"]
 #: Formats by the ending of a file.
 INPUTS: dict[str, InputFormat] = {
     ".cfg": "klipper",
@@ -36,16 +36,15 @@ INPUTS: dict[str, InputFormat] = {
     ".g": "reprap",
     ".gcode": "reprap",
     ".urdf": "urdf",
+    ".sdf": "sdf",
     ".xml": "mjcf",
     ".mjcf": "mjcf",
 }
 #: Suffixes of files that must be converted first, with what they are.
 _TO_CONVERT = {
-    ".sdf": "SDF, which is not read; import the URDF that it was made from, or make one (sdf2urdf "
-    "of sdformat_tools)",
     ".xacro": f"a file of macros, which xacro expands to URDF: {XACRO}",
 }
-_TREES = ("urdf", "mjcf")  # formats of any mechanism; the others are printers'
+_TREES = ("urdf", "sdf", "mjcf")  # formats of any mechanism; the others are printers'
 
 
 @dataclass(frozen=True)
@@ -53,12 +52,12 @@ class ImportOptions:
     """Options on facts that the file does not contain."""
 
     format: InputFormat | None = option(
-        None, "Format of FILE, if its ending (.urdf, .xml, .cfg, .g) does not tell."
+        None, "Format of FILE, if its ending (.urdf, .sdf, .xml, .cfg, .g) does not tell."
     )
     loops: Path | None = option(
         None,
-        "File that closes the loops of a URDF (closed_loop, type, name_mot) [default: FILE with "
-        "the ending .yaml, or robot.yaml beside it, or the URDF itself].",
+        "File that closes or drives the loops of a URDF or SDF (closed_loop, type, name_mot) "
+        "[default: beside a URDF, FILE with the ending .yaml or robot.yaml; else FILE itself].",
         metavar="YAML",
     )
     platform: str | None = option(
@@ -81,16 +80,16 @@ class ImportOptions:
 @command
 def import_(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="URDF, MJCF, printer.cfg or config.g.")
+        Path, typer.Argument(metavar="FILE", help="URDF, SDF, MJCF, printer.cfg or config.g.")
     ],
     output: Annotated[Path, output_option("OUT", "Mechanism folder.")],
     options: ImportOptions,
 ) -> None:
-    """Read URDF, MJCF, printer.cfg, config.g.
+    """Read URDF, SDF, MJCF, printer.cfg, config.g.
 
-    Converts a URDF whose loops a YAML file closes (as in example-parallel-robots), or MJCF with
-    connect, weld and actuators, into a mechanism folder: finds legs, platform and drives, and makes
-    each joint's place on its link a set of parameters. With --tip: a serial arm.
+    Converts a URDF whose loops a YAML file closes (as in example-parallel-robots), SDF with loops,
+    or MJCF with connect, weld and actuators, into a mechanism folder: finds legs, platform and
+    drives, and makes each joint's place on its link a set of parameters. With --tip: a serial arm.
 
     Converts a delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware or Marlin, too.
     Heights saved by DELTA_CALIBRATE, or points given by --probed, are written to probing.csv;
@@ -154,10 +153,10 @@ def _import_printer(
 def _import_tree(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> Sequence[str]:
-    """Write the mechanism of a URDF or MJCF file to a folder, print it, and return remarks."""
-    alone = form == "mjcf" or options.tip is not None
+    """Write the mechanism of a URDF, SDF or MJCF file to a folder, print it, and return remarks."""
+    alone = form != "urdf" or options.tip is not None
     yaml = options.loops or (None if alone else users_urdf.loops_beside(file))
-    tree = mjcf.read_mjcf(file) if form == "mjcf" else users_urdf.read_loops(file, yaml)
+    tree = mjcf.read_mjcf(file) if form == "mjcf" else users_urdf.read_loops(file, yaml, form)
     if options.tip is not None:
         mechanism = arm.serial_arm(tree, options.tip, options.base)
         remarks = arm.left_open(tree, mechanism)
@@ -209,9 +208,10 @@ def export(
     the readings of your poses, and so do the kinematics that 'pincal deploy' writes.
     """
     form = form or INPUTS.get(output.suffix.lower())
-    if form is None:
+    if form is None or form == "sdf":
+        fault = "read, but not written" if form else "not known"
         raise MechanismError(
-            f"the format of {output.name!r} is not known; give it the ending .urdf, .xml (MJCF), "
+            f"the format of {output.name!r} is {fault}; give it the ending .urdf, .xml (MJCF), "
             ".cfg (Klipper) or .g (RepRapFirmware; Marlin: --format marlin)"
         )
     if original is not None and form != "urdf":

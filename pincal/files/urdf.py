@@ -63,13 +63,13 @@ def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
         floating = "XYZxyz" if element.get("type") == "floating" else None
         axes = (replaced or {}).get(name, floating)
         try:
-            joint = _joint(element, place, element.get("type") if axes is None else "fixed")
+            joint = joint_of(element, place, element.get("type") if axes is None else "fixed")
             joint = _weighed(joint, links.get(child), path)
         except MechanismError as error:
             refused[name] = str(error)
             edges.append(Edge(Joint(name, "revolute"), parent, child))
             continue
-        edges += turns(joint, parent, child, axes) if axes else _edges(joint, parent, child)
+        edges += turns(joint, parent, child, axes) if axes else edges_of(joint, parent, child)
         if remark := _remarks(element, edges[-1].joint, place):
             remarks[name] = remark
     tree = Tree(
@@ -109,7 +109,7 @@ def tag_of(element: etree._Element) -> str:
     return ":".join(filter(None, names)) if isinstance(element.tag, str) else ""
 
 
-def _edges(joint: Joint, parent: str, child: str) -> tuple[Edge, ...]:
+def edges_of(joint: Joint, parent: str, child: str) -> tuple[Edge, ...]:
     """Return the edges of a joint; a joint with equal limits is fixed there."""
     if joint.kind == "fixed" or joint.lower < joint.upper:
         return (Edge(joint, parent, child),)
@@ -192,7 +192,7 @@ def _weighed(joint: Joint, link: etree._Element | None, path: Path) -> Joint:
     if link is None or element is None:
         return joint
     place = f"{path}, line {element.sourceline}"
-    mass = _number(element.get("value", "0"), place)
+    mass = number_of(element.get("value", "0"), place)
     if mass < 0.0:
         name = link.get("name")
         raise MechanismError(f"{place}: link {name!r} has the mass {mass:g}; expected 0 or more")
@@ -200,7 +200,7 @@ def _weighed(joint: Joint, link: etree._Element | None, path: Path) -> Joint:
     return replace(joint, mass=mass, centre=centre if mass else (0.0, 0.0, 0.0))
 
 
-def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
+def joint_of(element: etree._Element, place: str, kind: str | None) -> Joint:
     """Return a <joint> of a URDF, read as type ``kind``; its limits may be equal."""
     name = element.get("name")
     if not name:
@@ -225,8 +225,8 @@ def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
     joint = Joint(name, KINDS[kind], placement, (x, y, z), lower, upper)
     if (mimic := element.find("mimic")) is None:
         return joint
-    ratio = _number(mimic.get("multiplier", "1"), place)
-    offset = _number(mimic.get("offset", "0"), place)
+    ratio = number_of(mimic.get("multiplier", "1"), place)
+    offset = number_of(mimic.get("offset", "0"), place)
     if ratio == 0.0:
         return replace(joint, lower=offset, upper=offset)
     return replace(joint, follows=Follows(mimic.get("joint", ""), ratio, offset))
@@ -263,7 +263,7 @@ def _turn(element: etree._Element, place: str) -> Triple:
             f'{place}: quat_xyzw needs <robot version="1.1"> or later, without rpy beside it; '
             "programs read this file differently"
         )
-    numbers = [_number(word, place) for word in text.split()]
+    numbers = [number_of(word, place) for word in text.split()]
     if len(numbers) != 4 or not any(numbers):
         raise MechanismError(f"{place}: quat_xyzw={text!r} should hold four numbers, not all zero")
     turn = RigidTransform.from_rotation(Rotation.from_quat(numbers))
@@ -295,14 +295,15 @@ def triple_of(element: etree._Element | None, key: str, place: str, default: Tri
     text = None if element is None else element.get(key)
     if text is None:
         return default
-    numbers = [_number(word, place) for word in text.split()]
+    numbers = [number_of(word, place) for word in text.split()]
     if len(numbers) != 3:
         raise MechanismError(f"{place}: {key}={text!r} should hold three numbers")
     x, y, z = numbers
     return x, y, z
 
 
-def _number(text: str, place: str) -> float:
+def number_of(text: str, place: str) -> float:
+    """Return the number that a text is; raise if it is none, or too large."""
     value = plain_number(text)
     if not abs(value) <= LARGEST:
         raise MechanismError(f"{place}: {why_no_number(text)}")

@@ -64,9 +64,9 @@ def _closing(name: str, element: etree._Element, robot: etree._Element, place: s
         return [Edge(joint, parent, child, second)]
     if kind == "universal":
         pairs = zip(turns(joint, parent, link, "xy"), axes, strict=True)
-        joined = [replace(edge, joint=_about(edge.joint, axis)) for edge, axis in pairs]
+        joined = [replace(edge, joint=about(edge.joint, axis)) for edge, axis in pairs]
     elif kind in KINDS:
-        moving = _about(replace(joint, kind=KINDS[kind], lower=-np.inf, upper=np.inf), axes[0])
+        moving = about(replace(joint, kind=KINDS[kind], lower=-np.inf, upper=np.inf), axes[0])
         joined = [Edge(moving, parent, link)]
         turn = np.eye(4)
         if not np.array_equal(axes[0], axes[1]):  # turn the child's frame to the parent's axis
@@ -80,7 +80,7 @@ def _closing(name: str, element: etree._Element, robot: etree._Element, place: s
     return [*joined, Edge(Joint(f"{name}_loop", "fixed"), link, child, second)]
 
 
-def _about(joint: Joint, axis: Array) -> Joint:
+def about(joint: Joint, axis: Array) -> Joint:
     """Return a joint with another axis."""
     x, y, z = (axis / np.linalg.norm(axis)).tolist()
     return replace(joint, axis=(x, y, z))

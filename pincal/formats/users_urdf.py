@@ -30,6 +30,7 @@ from pincal.files.tree import Edge, Tree, at_home
 from pincal.files.urdf import read_urdf
 from pincal.files.yaml import Entry, read_yaml
 from pincal.formats.closings import read_closed
+from pincal.formats.sdf import read_sdf
 from pincal.model import Closing, Joint, Leg, Mechanism, Placement, placement_of
 from pincal.model.checks import ROUNDING, listed
 from pincal.types import Array
@@ -49,19 +50,20 @@ def loops_beside(file: Path) -> Path | None:
     return next(filter(Path.is_file, places), None)
 
 
-def read_loops(urdf: Path, loops: Path | None) -> Tree:
-    """Return the tree of a URDF with its own loops and those of a YAML file."""
+def read_loops(urdf: Path, loops: Path | None, form: str = "urdf") -> Tree:
+    """Return the tree of a URDF or SDF, by its form, with its loops and those of a YAML file."""
+    read, root = {"urdf": (read_closed, "robot"), "sdf": (read_sdf, "sdf")}[form]
     if loops is None:
-        return read_closed(urdf)
+        return read(urdf)
     keys = read_yaml(loops, MechanismError).keys(("name_mot",), _LOOP_KEYS, others=True)
     lists = {key: keys[key].items() if key in keys else [] for key in _LOOP_KEYS[:4]}
-    drawn = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
+    drawn = [str(joint.get("name")) for joint in read_xml(urdf, root).iterfind(".//joint")]
     ball = keys["rotule_name"].text() if "rotule_name" in keys else None
     replaced = {name: "xyz" for name in drawn if ball and ball in name} | {
         entry.text(): _TURNED[kind.choice(*_TURNED)]
         for entry, kind in _pairs(lists, "joint_name", "joint_type", loops)
     }
-    tree = read_closed(urdf, replaced)
+    tree = read(urdf, replaced)
     home = keys["home"].mapped(Entry.number) if "home" in keys else {}
     joints, remarks = [edge.joint.name for edge in tree.edges], dict(tree.remarks)
     for name in home.keys() - set(joints):

@@ -16,7 +16,7 @@ from pincal.kinematics.batches import block_diagonal, motion_of_points
 from pincal.kinematics.closing import sensor_law, started
 from pincal.kinematics.closure import LegClosure, joint_range, nominal_legs
 from pincal.model import Leg, Mechanism, Platform
-from pincal.model.checks import ROUNDING
+from pincal.model.checks import ROUNDING, wrapped
 from pincal.types import Array, Mask
 
 _STEPS, _LARGEST = 100, 0.3  # most steps of Newton's method, and longest step, [rad] or size
@@ -27,6 +27,7 @@ _ERRORS = 1e-3  # share of the largest singular value that errors of a machine m
 _CONFIGURATIONS, _ABOUT = 120, 0.3  # their number, and range about home, [rad] or size
 _GRIP = 0.1  # share of the usual motion of ends by passive joints, below which they are singular
 _IDLE = 1e-4  # singular value over the size, below which joints usually do not move ends
+_SAME = 1e-2  # largest difference of joints of one branch, [rad] or [m]
 _DEPENDS = 1e-7  # share of a column that others leave of it, below which it depends on them
 
 
@@ -80,19 +81,27 @@ def closed_near(
 ) -> tuple[Array, Array, Mask]:
     """Return poses and readings near given ones at which all legs close, and which rows do.
 
-    More drives than freedoms may contradict each other, fewer leave freedoms open. Shapes are
-    (N, dof), (N, n_readings) and (N, n_influences); deformations are ignored.
+    More drives than freedoms may contradict each other, fewer leave freedoms open. Poses and
+    readings must lead from home to the same branch of all loops, as those measured there will.
+    Shapes are (N, dof), (N, n_readings) and (N, n_influences); deformations are ignored.
     """
     legs, matrices = nominal_legs(mechanism), mechanism.platform.matrices(poses)
     known = [mechanism.known(place, readings, influences) for place in range(len(legs))]
     drawn = [started((leg,), matrices, rows) for leg, rows in zip(legs, known, strict=True)]
     matrices, joints, gaps = _closed(legs, matrices, np.hstack(drawn), _SINGULAR)
+    parts = _parts(legs, joints)
     read = [
         sensor_law(leg).reading(q[:, leg.leg.active], rows[:, len(leg.leg.sensors) :])
-        for leg, q, rows in zip(legs, _parts(legs, joints), known, strict=True)
+        for leg, q, rows in zip(legs, parts, known, strict=True)
     ]
-    closes: Mask = gaps <= _CLOSED * mechanism.size
-    return mechanism.platform.from_matrices(matrices), np.hstack(read), closes
+    readings, closes = np.hstack(read), gaps <= _CLOSED * mechanism.size
+    for place, (leg, q) in enumerate(zip(legs, parts, strict=True)):
+        if leg.leg.ends:
+            rows = np.flatnonzero(closes)
+            at_rows = mechanism.known(place, readings[rows], influences[rows])
+            led = started((leg,), matrices[rows], at_rows)
+            closes[rows] = np.abs(wrapped(led - q[rows])).max(axis=1) <= _SAME
+    return mechanism.platform.from_matrices(matrices), readings, closes
 
 
 def mobility(mechanism: Mechanism) -> int:
