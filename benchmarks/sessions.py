@@ -2,7 +2,8 @@
 
 Each machine is disturbed anew, and measured with known noise until the session says "enough": which
 poses it took against a plan made beforehand, whether the true error is below what was promised,
-which slips of ten σ were caught when they came, and how often a sound row was called off.
+which slips of ten σ were caught when they came, how often a sound row was called off, and the
+number of further poses that was forecast after each row over the number that it took.
 
     python benchmarks/sessions.py [MACHINES] [KIND …]
 
@@ -74,7 +75,7 @@ def held(
     )
     session = Session(Journal(folder), kind.mechanism, bench.plan, options)
     counts = dict.fromkeys(("slips", "caught", "later", "sound", "alarms", "blamed"), 0)
-    slipped, trusted = set[int](), set[int]()
+    slipped, trusted, forecast = set[int](), set[int](), list[tuple[int, int]]()
     while not session.enough and len(session.measured) < len(bench.plan):
         row = len(session.measured) if in_order else session.next_pose()[0]
         cells = bench.entry(session.columns, row)
@@ -107,6 +108,8 @@ def held(
             session.add(bench.entry(session.columns, doubted), doubted)
             if session.questioned:
                 session.keep()
+        if not in_order and session.missing and not session.contradicted:
+            forecast.append((len(session.measured), session.missing))
     session.journal.close()
     result = pincal.calibrate(
         kind.mechanism, session.journal.path, noise=NOISE, setup=session.options.setup
@@ -120,6 +123,7 @@ def held(
     limit = session.error.limit[0] if session.error is not None else np.inf
     return counts | {
         "poses": len(session.measured),
+        "forecast": [more / (len(session.measured) - n) for n, more in forecast if session.enough],
         "enough": session.enough,
         "kept": bool(true <= kind.accuracy),
         "within": bool(true <= limit),
@@ -154,7 +158,10 @@ def write(
     name: str, kind: Kind, sessions: list[dict[str, Any]], fixed: list[dict[str, Any]]
 ) -> None:
     """Write the row of a kind of machine into the table, in place of what it was."""
-    total = {key: sum(one[key] for one in sessions) for key in sessions[0]}
+    ratios = [ratio for one in sessions for ratio in one["forecast"]] or [np.nan]
+    low, median, high = np.quantile(ratios, (0.05, 0.5, 0.95))
+    counted = sessions[0].keys() - {"forecast"}
+    total = {key: sum(one[key] for one in sessions) for key in counted}
     row = {
         "machine": name,
         "machines": len(sessions),
@@ -169,6 +176,9 @@ def write(
         "sound rows": total["sound"],
         "false alarms": total["alarms"],
         "blamed for others' slips": total["blamed"],
+        "poses forecast over needed": f"{median:.2f}",
+        "from 5 %": f"{low:.2f}",
+        "to 95 %": f"{high:.2f}",
     }
     rows = {name: row}
     if TABLE.is_file():

@@ -13,3 +13,10 @@ Index: TypeAlias = NDArray[np.intp]
 """Array of indices of elements."""
 Point: TypeAlias = tuple[float, float, float]
 """Coordinates x, y, z."""
+
+
+class Quantity(float):
+    """A number in SI that knows the dimension of the unit with which it was typed."""
+
+    dimension = ""
+    """``"m"``, ``"rad"``, … as the keys of units; empty without a unit."""

@@ -473,6 +473,7 @@ BAD = {
     "noise-nan": Case("simulate 3RRR plan.csv --noise-reading nan", ["reading", "nan"]),
     "noise-negative-select": Case(f"{SELECT} --noise-orientation -1", ["orientation", "-1"]),
     "noise-in-part": Case("calibrate 3RRR measured.csv --noise-position 1e-4", PARTIAL),
+    "noise-of-angles": Case("simulate 3RRR plan.csv -o s.csv --noise-reading 1mm", ["are angles"]),
     "noise-in-part-reading": Case("calibrate 3RRR measured.csv --noise-reading 1e-4", PARTIAL),
     "noise-in-part-5R": Case(
         "calibrate 5R 5R-files/measured.csv --noise-orientation 1e-4", ["--noise-position"]

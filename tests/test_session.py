@@ -286,7 +286,7 @@ def test_only_what_a_session_wrote_is_removed(
     for folder in ("new", "mine"):
         assert run(*command, "--session", folder, "--measure", "a,b").code == 2
     assert not Path("new").exists()
-    assert {path.name for path in Path("mine").iterdir()} <= {"notes.txt", "lock"}
+    assert {path.name for path in Path("mine").iterdir()} == {"notes.txt"}
     held = Journal(Path("held"))
     held.withdraw()
     again = Journal(Path("held"))  # the lock of a folder that was removed holds no other

@@ -61,11 +61,40 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     without them; position or orientation, if not measured, is scaled like the other.
     """
     poses = measured_plan(result) if poses is None else poses
+    return _with_hidden(result, poses, _in_region(result, poses))
+
+
+def errors_inside(result: CalibrationResult, plan: Plan) -> tuple[PlatformError, PlatformError]:
+    """Return the errors over all poses, and those stated over the poses in the measured region."""
+    expected = _in_region(result, plan)
+    within = expected.within
+    if within.all():
+        return expected, _with_hidden(result, plan, expected)
+    poses = plan.rows(within)  # with frames that fit these poses, and the same region
+    inside, outside = _by_covariance(result, poses), expected.outside[within]
+    inside = _scaled(result, replace(inside, outside=outside, uncovered=expected.uncovered))
+    return expected, _with_hidden(result, poses, inside)
+
+
+def _with_hidden(
+    result: CalibrationResult, poses: Plan | Array, error: PlatformError
+) -> PlatformError:
+    if not error.promised:
+        return error
+    return replace(error, hidden=_hidden(result, poses, error.unnoticed))
+
+
+def _in_region(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
+    """Return the errors over poses, and how far these are outside the measured region."""
     error = _by_covariance(result, poses)
-    largest = most_uncertain(result)
-    error = replace(error, outside=outside_of(error.sizes, largest), uncovered=uncovered(result))
+    outside = outside_of(error.sizes, most_uncertain(result))
+    return _scaled(result, replace(error, outside=outside, uncovered=uncovered(result)))
+
+
+def _scaled(result: CalibrationResult, error: PlatformError) -> PlatformError:
+    """Return errors that are scaled as ``expected_error`` says."""
     if result.promises:
-        return replace(error, hidden=_hidden(result, poses, error.unnoticed))
+        return error
     expected = np.array(root_mean_squares(_by_covariance(result, measured_plan(result)).sizes))
     lacks = np.sqrt(np.maximum(np.square(result.misses) - expected**2, 0.0))
     std, lengths = error.std, np.array([unit == "m" for unit in error.units])
@@ -74,16 +103,6 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
         beside = np.hypot(std, lack / np.sqrt(max(columns.sum(), 1)))
         std = np.where(columns, std * times if np.isnan(lack) else beside, std)
     return replace(error, std=std, promised=False)
-
-
-def errors_inside(result: CalibrationResult, plan: Plan) -> tuple[PlatformError, PlatformError]:
-    """Return the errors over all poses, and over the poses in the measured region."""
-    expected = result.expected_error(plan)
-    within = expected.within
-    if within.all():
-        return expected, expected
-    inside = result.expected_error(plan.rows(within))  # with frames that fit these poses,
-    return expected, replace(inside, outside=expected.outside[within])  # and the same region
 
 
 def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tuple[float, float]:

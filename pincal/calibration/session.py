@@ -33,12 +33,13 @@ from pincal.kinematics.configurations import inverse
 from pincal.model import Mechanism, Noise, Plan, Setup
 from pincal.model.checks import LARGEST
 from pincal.option import option
-from pincal.types import Index
+from pincal.types import Index, Mask
 from pincal.words.numbers import SI, Units
 
 PLANNED = "planned_"
 """Prefix of the sheet's columns with set points of the drives."""
 _LARGEST = 3.0  # standard deviations of the largest differences of machines from the drawing
+_FAR = 10.0  # standard deviations from the drawing at which a row says nothing of the machine
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,7 @@ class Session:
         )
         self.forecast = self.candidates.limits(self.candidates.course)
         self._drawn = Predictor(mechanism, plan, self.candidates)
+        self._from_drawing = dict[tuple[str, ...], float]()  # σ of each row by its cells
         self.chosen: int | None = None
         """Row of the plan that the user chose to measure next, if any."""
         self._skipped = list[int]()
@@ -282,7 +284,7 @@ class Session:
         workspace, wanted = self.candidates.workspace, self.options.accuracy or 0.0
         places = np.array(self.measured)[: len(calibration.measurements)]
         try:
-            near = self._predictor.near(calibration, places)
+            near = self._near(calibration, places)
             unaided, part = self.candidates.freedoms(near.sum()) > 0, calibration.rows(near)
             fits = fitted(part.with_options(priors={}) if unaided else part)
             self.doubtful, self.result = doubtful_row(fits), assemble(fits)
@@ -305,6 +307,21 @@ class Session:
                 self.enough = self.error.limit[0] <= wanted
         except (PincalError, np.linalg.LinAlgError) as error:
             self.why = str(error)
+
+    def _near(self, calibration: Calibration, places: Index) -> Mask:
+        """Return which rows a machine like the drawing may have given, shape (N,).
+
+        Others would spoil a fit, and take its search minutes. Where the drawing alone predicts
+        none, as in an unknown frame, all do; so do rows that are as far off as half of all rows.
+        """
+        if len(calibration.observation.external):
+            return np.ones(len(places), dtype=bool)
+        cells = [tuple(row) for row in self.journal.rows[: len(places)]]
+        if new := [place for place, row in enumerate(cells) if row not in self._from_drawing]:
+            sigmas = self._drawn.sigmas(calibration.rows(np.array(new)), places[new])
+            self._from_drawing |= zip([cells[place] for place in new], sigmas, strict=True)
+        sigmas = np.array([self._from_drawing[row] for row in cells])
+        return np.asarray(sigmas <= _FAR * max(1.0, np.sort(sigmas)[(len(cells) - 1) // 2]))
 
 
 def place_of(noun: str, number: str, count: int) -> int:

@@ -21,12 +21,11 @@ from pincal.estimation.solver import solve_poses
 from pincal.estimation.unknowns import State
 from pincal.finding import Finding
 from pincal.model import Mechanism, Plan
-from pincal.types import Array, Index, Mask
+from pincal.types import Array, Index
 from pincal.words.findings import finding
 
 FALSE_ALARM = 3e-3
 """Probability with which each of two tests calls a sound row wrong."""
-_FAR = 10.0  # standard deviations from the drawing at which a row says nothing of the machine
 _CAUSES = 3  # largest number of causes that are named
 _SEEN = 1e-6  # least share of a slip's square that shows in a residual
 _CONFIRMED = 1e-8  # least share of the variance of a row's residuals that other rows predict
@@ -92,18 +91,6 @@ class Predictor(NamedTuple):
             for hypothesis in likely
         )
         return Checked(row, float(sigma), True, quantity, causes)
-
-    def near(self, calibration: Calibration, places: Sequence[int] | Index) -> Mask:
-        """Return which rows a machine like the drawing may have given, shape (N,).
-
-        Others would spoil a fit, and take its search minutes. Where the drawing alone predicts
-        none, as in an unknown frame, all do; so do rows that are as far off as half of all rows.
-        """
-        count = len(calibration.measurements)
-        if len(calibration.observation.external):
-            return np.ones(count, dtype=bool)
-        sigmas = self.sigmas(calibration, places)
-        return np.asarray(sigmas <= _FAR * max(1.0, np.sort(sigmas)[(count - 1) // 2]))
 
     def sigmas(self, calibration: Calibration, places: Sequence[int] | Index) -> Array:
         """Return how far rows are from their predictions, in standard deviations, shape (N,)."""

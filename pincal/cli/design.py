@@ -25,6 +25,7 @@ from pincal.cli.options import (
 from pincal.design.planning import CONFIGURATIONS, PlanningOptions, sampled, with_reading_noise
 from pincal.design.simulate import SimulatedMachine, Simulation
 from pincal.errors import FileError, MeasurementError, WorkspaceError
+from pincal.estimation.noise import check_noise
 from pincal.files.columns import Columns, columns_of, reading_columns, sheet_columns
 from pincal.files.further_tables import corners_of
 from pincal.files.measurements import read_poses
@@ -348,6 +349,7 @@ def simulate(
     units = options.written_in(mechanism)
     disturbed, measured = map(np.random.default_rng, np.random.SeedSequence(options.seed).spawn(2))
     setup = read_setup(options.setup_file or Setup())
+    check_noise(mechanism, noise)
     tables = [] if output is None else [output, *map(Path, filter(None, [setup.corners]))]
     outputs: list[tuple[Path, Sequence[str]]] = [(path, ()) for path in tables]
     true_mechanism, made = _true_mechanism(mechanism, options, disturbed)

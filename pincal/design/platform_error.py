@@ -205,12 +205,15 @@ def platform_error(
         degrees_of_freedom: Degrees of freedom of the noise, if its scale was estimated.
     """
     legs = legs_at(mechanism, planned)
-    held = np.isfinite(legs.gain).all(axis=(1, 2))  # not at a type-2 singularity
-    gain, units = seen_of(mechanism, legs.poses[held], legs.gain[held], frames)
+    gain = legs.gain
+    held = np.isfinite(gain).all(axis=(1, 2))  # not at a type-2 singularity
+    gain, units = seen_of(mechanism, legs.poses[held], gain[held], frames)
     rows = np.flatnonzero(legs.reached)[held]
     std = np.full((len(legs.reached), len(units)), np.nan)
     std[legs.reached] = np.inf
-    std[rows] = np.sqrt((gain @ covariance * gain).sum(axis=2).clip(0.0))
+    values, axes = np.linalg.eigh(covariance)
+    moves = gain @ (axes * np.sqrt(values.clip(0.0)))
+    std[rows] = np.linalg.norm(moves, axis=2)
     held_moves = np.zeros((*std.shape, 0))
     if isinstance(lost, Unidentified):
         least = np.median(std[rows], axis=0) if len(rows) else np.zeros(len(units))
@@ -219,10 +222,8 @@ def platform_error(
     elif lost is not None and lost.shape[1]:
         std[rows] = np.where(_moving(gain, lost), np.inf, std[rows])
     determined = np.isfinite(std).all(axis=1)
-    values, axes = np.linalg.eigh(covariance)
-    root = axes * np.sqrt(values.clip(0.0))
     known, weights = determined[rows], []
-    moves = np.concatenate((gain[known] @ root, held_moves[rows[known]]), axis=2)
+    moves = np.concatenate((moves[known], held_moves[rows[known]]), axis=2)
     for unit in ("m", "rad"):
         G = moves[:, [name == unit for name in units]].reshape(-1, moves.shape[2])
         weights.append(np.linalg.eigvalsh(G.T @ G).clip(0.0) / max(len(moves), 1))

@@ -350,8 +350,14 @@ def _of_tracker(tracker: Tracker, points: Array, names: Sequence[str]) -> Array:
 
 
 def check_noise(mechanism: Mechanism, noise: Noise | None) -> None:
-    """Raise if noise is above 2 % of a leg's size, or 0.02 rad, as its unit must be wrong."""
+    """Raise if noise is above 2 % of a leg's size or 0.02 rad, or of no unit of the readings."""
     size, noise = mechanism.size, noise or Noise(0.0, 0.0)
+    typed, units = getattr(noise.reading, "dimension", ""), mechanism.reading_units
+    if units and typed not in ("", *units):
+        right = {"m": "lengths: give it as 20um", "rad": "angles: give it as 0.01mrad"}[units[0]]
+        raise MeasurementError(
+            f"--noise-reading is in {typed}, but the readings of {mechanism.name!r} are {right}"
+        )
     turns = "rad" in mechanism.platform.units
     for what, given, unit, most in (
         ("position", noise.position, "m", _PLAUSIBLE * size),

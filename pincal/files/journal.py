@@ -112,13 +112,14 @@ class Journal:
         self._existed = folder.exists()
         with explaining(f"cannot open {folder}"):
             folder.mkdir(exist_ok=True)
+            made = set[Path]() if lock.exists() else {lock}
             self._lock = os.open(lock, os.O_RDWR | os.O_CREAT)
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if not os.path.samestat(os.fstat(self._lock), lock.stat()):  # it was withdrawn
                     raise BlockingIOError
                 lock.write_text(str(os.getpid()))
-                self._before = set(folder.iterdir())
+                self._before = set(folder.iterdir()) - made
             except BlockingIOError as error:
                 self.close()
                 raise FileError(
@@ -140,11 +141,10 @@ class Journal:
 
     def withdraw(self) -> None:
         """Remove the files of a new session; none that were there when the folder was locked."""
-        names = ("plan.csv", "rows.csv", "options.json", "options.new")
+        names = ("plan.csv", "rows.csv", "options.json", "options.new", "lock")
         for path in {self.folder / name for name in names} - self._before:
             path.unlink(missing_ok=True)
         if not self._existed:
-            (self.folder / "lock").unlink()
             with suppress(OSError):  # somebody put a file there
                 self.folder.rmdir()
 

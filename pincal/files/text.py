@@ -20,6 +20,7 @@ from lxml import etree
 
 from pincal.errors import FileError, MeasurementError, MechanismError, PincalError, explaining
 from pincal.model.checks import LARGEST
+from pincal.types import Quantity
 from pincal.words.numbers import UNITS
 
 LARGEST_FILE = {"table": 2**28, "result": 2**28, "XML": 2**24, "printer": 2**22, "YAML": 2**20}
@@ -180,7 +181,7 @@ def _ungrouped(cell: str, signs: Sequence[str]) -> str:
     return cell
 
 
-def in_si(text: str, dimensions: str, bare: str | None = "") -> float:
+def in_si(text: str, dimensions: str, bare: str | None = "") -> Quantity:
     """Return a number with an optional unit in SI, from 2e-5, 20um, '20 µm' or 5mrad.
 
     ``dimensions`` are the allowed ones: "m", "rad", or several separated by blanks. ``bare`` is the
@@ -197,7 +198,9 @@ def in_si(text: str, dimensions: str, bare: str | None = "") -> float:
         pointed = " and a decimal point, no comma" * ("," in number)
         units = f"with one of {', '.join(known)}{pointed}"
         raise MeasurementError(f"{text!r}: expected a number, {units}")
-    return float(f"{value * factor:.15g}")  # 20um is 2e-05, not 1.9999999999999998e-05
+    quantity = Quantity(f"{value * factor:.15g}")  # 20um is 2e-05, not 1.9999999999999998e-05
+    quantity.dimension = dimension if unit else ""
+    return quantity
 
 
 def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:

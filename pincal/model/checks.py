@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import PincalError
-from pincal.types import Array, Point
+from pincal.types import Array, Point, Quantity
 
 LARGEST = 1e12
 """Largest number of a mechanism, [m] or [rad]: larger ones are slips, their squares overflow."""
@@ -99,7 +99,9 @@ def names_of(values: Any, count: int, label: str, error_type: type[PincalError])
 
 
 def number_of(value: Any, name: str, error_type: type[PincalError]) -> float:
-    """Return a number as float; raise an error of the given type for anything else."""
+    """Return a number as float or Quantity; raise an error of the given type for others."""
+    if isinstance(value, Quantity):
+        return value
     if isinstance(value, bool) or not isinstance(value, Real):
         raise error_type(f"{name}: expected a number; got {described(value)}")
     return float(value)
