@@ -42,33 +42,25 @@ class _Carrier:
 
     def joint(self, joint: Joint, closes: object = None) -> Joint:
         """Return a carried joint of the leg, or, if ``closes`` is given, a platform point."""
-        constant = joint.placement.rest(self.old, self.leg.name).copy()
-        local = self.local
+        placement, mirror = joint.placement, isometry(self.local)
         if closes or joint.name in self.on_base:
-            moved, residual = self.on_body(joint.placement, constant, 1 if closes else 0)
-            if closes == "point":  # the orientation of a point has no meaning
-                residual[:3, :3] = constant[:3, :3]
+            G = self.element.bodies[1 if closes else 0]
+            carried = Placement(self.moved(placement.coordinates, G))
         else:
-            moved, residual = Placement(self.within(joint.placement.coordinates)), constant
-            residual[:3, :3] = local @ constant[:3, :3] @ local
-            residual[:3, 3] = local @ constant[:3, 3]
-        axis = local @ np.array(joint.axis)
-        if joint.kind == "revolute":
-            axis = np.linalg.det(local) * axis
-        return replace(joint, placement=moved.at(self.new, residual), axis=floats(axis))
-
-    def on_body(self, p: Placement, constant: Array, body: int) -> tuple[Placement, Array]:
-        """Return a placement on base (0) or platform (1), and its constant part, (4, 4)."""
-        G = self.element.bodies[body]
-        result = Placement(self.moved(p.coordinates, G))
-        moved = G @ p.displacement(self.old) @ constant
-        moved[:3, :3] = moved[:3, :3] @ self.local
-        residual = np.linalg.inv(result.displacement(self.new)) @ moved
-        if not result.turns:  # exact
-            residual[:3, :3] = moved[:3, :3]
-        if p.coordinates and not constant[:3, 3].any() and not result.corrects(self.new):
+            G, carried = mirror, Placement(self.within(placement.coordinates))
+        constant = placement.rest(self.old, self.leg.name)
+        image = G @ placement.displacement(self.old) @ constant @ mirror
+        residual = np.linalg.inv(carried.displacement(self.new)) @ image
+        if not carried.turns:  # exact
+            residual[:3, :3] = image[:3, :3]
+        if placement.coordinates and not (constant[:3, 3].any() or carried.corrects(self.new)):
             residual[:3, 3] = 0.0
-        return result, residual
+        if closes == "point":  # the orientation of a point has no meaning
+            residual[:3, :3] = constant[:3, :3]
+        axis = self.local @ np.array(joint.axis)
+        if joint.kind == "revolute":
+            axis = np.linalg.det(self.local) * axis
+        return replace(joint, placement=carried.at(self.new, residual), axis=floats(axis))
 
     def moved(self, coordinates: tuple[Coordinate, ...], G: Array) -> tuple[Coordinate, ...]:
         """Return the coordinates of a place on base or platform after the body's isometry G.
