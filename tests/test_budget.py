@@ -25,7 +25,7 @@ LINES = {
     "kinematics": 3_418,
     "model": 3_572,
     "show": 4_156,
-    "symmetry": 1_326,
+    "symmetry": 1_306,
     "words": 956,
     "workspace": 1_492,
 }

@@ -173,8 +173,7 @@ def canonical(leg: Leg) -> Leg:
     followed = {joint.follows.joint for joint in leg.articulated if joint.follows}
     for joint in leg.joints:
         if joint in leg.moving and joint.name not in followed:
-            joint, sensor = _flip_axis(joint, sensors.get(joint.name), parameters)
-            joint, sensor = _absorb_turn(joint, sensor, parameters, leg.name)
+            joint, sensor = _recounted(joint, sensors.get(joint.name), parameters, leg.name)
             if sensor is not None:
                 sensors[joint.name] = sensor
         joints.append(joint)
@@ -186,58 +185,47 @@ def canonical(leg: Leg) -> Leg:
     )
 
 
-def _flip_axis(
-    joint: Joint, sensor: Sensor | None, parameters: dict[str, float]
+def _recounted(
+    joint: Joint, sensor: Sensor | None, parameters: dict[str, float], name: str
 ) -> tuple[Joint, Sensor | None]:
-    """Return a joint whose axis has a positive largest component, and its sensor."""
+    """Return a joint whose positions q count as ± q + turn, and its sensor.
+
+    The largest component of its axis is then positive, and its placement has no constant turn about
+    the axis.
+    """
     axis = np.array(joint.axis)
-    if axis[np.argmax(np.abs(axis))] > 0:
-        return joint, sensor
-    joint = replace(
-        joint, axis=floats(-axis), home=-joint.home, lower=-joint.upper, upper=-joint.lower
-    )
+    side = 1 if axis[np.argmax(np.abs(axis))] > 0 else -1
+    axis, turn = side * axis, 0.0
+    constant = joint.placement.rest(parameters, name).copy()
+    if joint.turns and np.allclose(constant[:3, :3] @ axis, axis, atol=ROUNDING):
+        turn = float(Rotation.from_matrix(constant[:3, :3]).as_rotvec() @ axis)
+    if abs(turn) < 1e-15:
+        turn = 0.0
+    else:
+        constant[:3, :3] = np.eye(3)
+        joint = replace(joint, placement=joint.placement.at(parameters, constant))
+        start = side * _start(joint, sensor, parameters)
+        turn = wrapped(start + turn) - start
+    lower, upper = sorted((side * joint.lower, side * joint.upper))
+    shift, home = turn if upper - lower < 2 * np.pi else 0.0, side * joint.home + turn
+    joint = replace(joint, axis=floats(axis), lower=lower + shift, upper=upper + shift, home=home)
     if sensor is not None:
         offset, zero = sensor.offset, sensor.zero
         if sensor.form == "joint":
-            offset = _negative(offset, parameters, parameters)
+            moved = side * _number(offset, parameters) + (0.0 if sensor.homed else turn)
+            offset, turn = _set(offset, moved, parameters), 0.0
         for amplitude in {term.parameter for term in sensor.terms if term.of != LOAD}:
-            parameters[amplitude] = 0.0 - parameters[amplitude]  # loads change sign by themselves
-        zero = zero if isinstance(zero, str) else 0.0 - zero
-        sensor = replace(sensor, direction=-sensor.direction, zero=zero, offset=offset)
+            parameters[amplitude] = side * parameters[amplitude] + 0.0  # loads change by themselves
+        zero = zero if isinstance(zero, str) else side * zero + turn
+        sensor = replace(sensor, direction=side * sensor.direction, zero=zero, offset=offset)
     return joint, sensor
 
 
-def _absorb_turn(
-    joint: Joint, sensor: Sensor | None, parameters: dict[str, float], name: str
-) -> tuple[Joint, Sensor | None]:
-    """Return a joint and its sensor after a constant turn about its own axis went to its zero."""
-    constant = joint.placement.rest(parameters, name).copy()
-    axis = np.array(joint.axis)
-    if joint.kind != "revolute" or not np.allclose(constant[:3, :3] @ axis, axis, atol=ROUNDING):
-        return joint, sensor
-    turn = float(Rotation.from_matrix(constant[:3, :3]).as_rotvec() @ axis)
-    if abs(turn) < 1e-15:
-        return joint, sensor
-    constant[:3, :3] = np.eye(3)
-    if sensor is None or isinstance(sensor.zero, str):  # the zero is home, which turns along
-        turn = wrapped(joint.home + turn) - joint.home
-    elif sensor.form == "joint":
-        offset = _number(sensor.offset, parameters)
-        turn = wrapped(offset + turn) - offset
-        sensor = replace(sensor, offset=_set(sensor.offset, offset + turn, parameters))
-    else:
-        zero = float(sensor.zero)
-        turn = wrapped(zero + turn) - zero
-        sensor = replace(sensor, zero=zero + turn)
-    limits = turn if joint.upper - joint.lower < 2 * np.pi else 0.0
-    turned = replace(
-        joint,
-        placement=joint.placement.at(parameters, constant),
-        home=joint.home + turn,
-        lower=joint.lower + limits,
-        upper=joint.upper + limits,
-    )
-    return turned, sensor
+def _start(joint: Joint, sensor: Sensor | None, parameters: dict[str, float]) -> float:
+    """Return what counts a joint's positions, and stays within half a turn."""
+    if sensor is None or isinstance(sensor.zero, str):
+        return joint.home  # from which readings count, too
+    return _number(sensor.offset, parameters) if sensor.form == "joint" else sensor.zero
 
 
 def generate(
