@@ -16,7 +16,7 @@ LINES = {
     "": 263,
     "architectures": 616,
     "calibration": 6_914,
-    "cli": 2_693,
+    "cli": 2_687,
     "design": 2_562,
     "estimation": 4_589,
     "files": 3_369,

@@ -12,7 +12,7 @@ import re
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from functools import cache, wraps
@@ -105,15 +105,20 @@ def _main(
 _Quiet = Annotated[bool, typer.Option("--quiet", help="Print only warnings and errors.")]
 
 
+def _valued(parameters: Iterable[object]) -> dict[str, bool]:
+    """Return the options among parameters, as typed, and whether each takes a value."""
+    options = (option for option in parameters if isinstance(option, TyperOption))
+    return {name: not option.is_flag for option in options for name in option.opts}
+
+
 class _Command(TyperCommand):
     """A command that refuses an option as the value of another option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words behind the command's name."""
-        options = (param for param in self.params if isinstance(param, TyperOption))
-        valued = {name for option in options if not option.is_flag for name in option.opts}
+        valued = _valued(self.params)
         for option, value in pairwise(args):
-            if option in valued and re.match("--?[a-z]", value):
+            if valued.get(option) and re.match("--?[a-z]", value):
                 raise typer.BadParameter(f"{option} takes a value, and {value} is an option", ctx)
         return super().parse_args(ctx, args)
 
@@ -149,6 +154,27 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
 def typed() -> str:
     """Return the command line as it can be typed again."""
     return shlex.join(["pincal", *_typed])
+
+
+def retyped(command: str, *added: str, measured: tuple[Path, Path] | None = None) -> str:
+    """Return the typed words as another command, with added words, without options it has not.
+
+    ``measured`` is the typed file of measurements and its replacement.
+    """
+    commands: dict[str, TyperCommand] = _commands().commands  # type: ignore[attr-defined]
+    valued, line, words = _valued(commands[_typed[0]].params), list[str](), iter(_typed[1:])
+    offered = _valued(commands[command].params).keys() - {"-o", "--output", "--quiet", "--force"}
+    if command == "explain" or "--terms" in added:  # instead of the terms that were tried
+        offered -= {"--terms"}
+    for word in words:
+        name, joined, _ = word.partition("=") if word.startswith("--") else (word[:2], word[2:], "")
+        option = [word, next(words)] if valued.get(name) and not joined else [word]
+        if name in offered or name not in valued:
+            line += option
+    if measured:
+        line = [str(measured[1]) if Path(word) == measured[0] else word for word in line]
+    output = ("-o", "RESULT") if command == "calibrate" else ()
+    return shlex.join(["pincal", command, *line, *added, *output])
 
 
 def run_step(*words: object, allowed: int = 0) -> None:

@@ -1,9 +1,7 @@
 """``pincal calibrate``, ``explain`` and ``doctor``: calibration by measurements, and diagnosis."""
 
-import argparse
 import shlex
-from collections.abc import Sequence
-from dataclasses import Field, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +12,8 @@ from pincal.calibration.calibrate import Remedy, explained, prepared, remedies, 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO, By
 from pincal.calibration.result_files import REPORT, RESULT_FILES
-from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
-from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option, typed_name
+from pincal.cli.app import command, fail, remark, retyped, say, stdout, typed, warn, working, wrote
+from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option
 from pincal.errors import MisfitError
 from pincal.files.columns import columns_of
 from pincal.files.further_tables import with_pairs
@@ -134,7 +132,7 @@ def calibrate(
         try:
             result, _, notes = run(calibration, options.folds, running.by)
         except MisfitError as error:
-            raise MisfitError(f"{error}. Run {again('doctor')}") from error
+            raise MisfitError(f"{error}. Run {retyped('doctor')}") from error
         result.save(output, force=running.force)
         files = [*mechanism_files(mech), measurements]
         files += filter(None, [known.setup_file, known.pairs])
@@ -144,7 +142,7 @@ def calibrate(
             origin: dict[str, Any] = {"command": typed(), "files": files}
             page = report(result, **origin, workspace=poses)
             page.notes, errors = notes, page.errors
-            page.steps = answers.next_steps(result, errors, again, shlex.quote(str(output)))
+            page.steps = answers.next_steps(result, errors, retyped, shlex.quote(str(output)))
             if running.report:
                 progress("drawing the report")
                 page.save(output / REPORT)
@@ -159,7 +157,7 @@ def calibrate(
     for part in shown:
         stdout.print(part)
     wrote(output)
-    steps = answers.next_steps(result, errors, again, shlex.quote(str(output)))
+    steps = answers.next_steps(result, errors, retyped, shlex.quote(str(output)))
     say(answers.next_line(steps))
     if undrawn:
         fail(3, f"exit code 3: the report could not be drawn ({undrawn}); the result is written")
@@ -191,34 +189,7 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
     say(*explanation_lines(explanation))
     if explanation.terms:
         added = (word for term in explanation.terms for word in ("--terms", term))
-        say(f"  {again('calibrate', *added)}")
-
-
-def again(
-    command: str,
-    *added: str,
-    measured: tuple[Path, Path] | None = None,
-    dropped: Sequence[Field[Any]] = (),
-) -> str:
-    """Return the typed words as another command, with added words, without options it has not.
-
-    ``measured`` is the typed file of measurements and its replacement; ``dropped`` are left out.
-    """
-    groups = {"explain": (CalibrateOptions,), "doctor": (CalibrateOptions, Options)}
-    dropped = [*dropped, *(field for kind in groups.get(command, ()) for field in fields(kind))]
-    flags = {typed_name(f): isinstance(f.default, bool) for f in dropped if "option" in f.metadata}
-    flags |= {"quiet": True, "force": True}
-    if command == "explain" or "--terms" in added:  # instead of the terms that were tried
-        flags["terms"] = False
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("-o", "--output")
-    for name, flag in flags.items():
-        parser.add_argument(f"--{name}", action="store_true" if flag else "append")
-    _, words = parser.parse_known_args(shlex.split(typed())[2:])
-    if measured:
-        words = [str(measured[1]) if Path(word) == measured[0] else word for word in words]
-    output = ("-o", "RESULT") if command == "calibrate" else ()
-    return shlex.join(["pincal", command, *words, *added, *output])
+        say(f"  {retyped('calibrate', *added)}")
 
 
 @command
@@ -270,7 +241,7 @@ def doctor(
     else:
         stdout.print("none of these makes the measurements fit the mechanism")
         if any(remedy.result and remedy.result.converged for remedy in tries):
-            stdout.print(f"the mechanism may lack a term: {again('explain')} looks for it")
+            stdout.print(f"the mechanism may lack a term: {retyped('explain')} looks for it")
     fail(1)
 
 
@@ -296,5 +267,5 @@ def _say_cure(
     words += ["--unknown-target"] * (unknown_target and not as_typed.targets[ORIGIN].unknown)
     words += ["--rough"] * options.rough
     words += ["--loss", str(options.loss)] if options.loss != "none" else []
-    lines.append(again("calibrate", *words, measured=corrected))
+    lines.append(retyped("calibrate", *words, measured=corrected))
     say("this works:", *(f"  {line}" for line in lines))

@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -16,8 +16,8 @@ from pincal.calibration.calibrate import run
 from pincal.calibration.history import history_of
 from pincal.calibration.many import Workers, add_rows
 from pincal.calibration.options import By
-from pincal.cli.app import command, fail, say, typed, warn, working, wrote
-from pincal.cli.calibration import InputOptions, again
+from pincal.cli.app import command, fail, retyped, say, typed, warn, working, wrote
+from pincal.cli.calibration import InputOptions
 from pincal.cli.options import Force, Mech, PlanOptions, offered, output_option
 from pincal.design.planning import with_reading_noise
 from pincal.design.simulate import ERROR
@@ -94,9 +94,7 @@ def montecarlo_(
             seed=drawn.seed,
         )
     say(*montecarlo_lines(study))
-    planning = {field.name for field in fields(PlanOptions)}
-    dropped = [field for field in fields(MachinesOptions) if field.name not in planning]
-    say(f"next: {again('identifiability', dropped=(*dropped, *fields(Options)))}")
+    say(f"next: {retyped('identifiability')}")
     if any(study.columns[FAILURE]):
         fail(1, "exit code 1, since machines have no result")
 
@@ -160,8 +158,7 @@ def batch(
     lines, bad = batch_lines(columns, mechanism)
     say(*lines)
     if bad:
-        measured, dropped = (folder, folder / bad[0]), fields(BatchOptions)
-        say(f"next: {again('doctor', measured=measured, dropped=dropped)}")
+        say(f"next: {retyped('doctor', measured=(folder, folder / bad[0]))}")
         fail(1, "exit code 1, since machines have no result, or a bad one")
     if running.results is None:
         say(f"next: {typed()} --results RESULTS")
