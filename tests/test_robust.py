@@ -38,6 +38,22 @@ def spoiled(data: pincal.Measurements, seed: int, sigma: float) -> tuple:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("row", [6, 28])
+def test_a_decimal_slip_is_named_in_an_unknown_frame(row: int) -> None:
+    """A reading ten times too large, 80 times the median off nominal: named, and left out."""
+    mechanism, _, data = machine("3RRR", 30, NOISE)
+    data = seen_from_elsewhere(mechanism, data)
+    place = row, row % 3
+    slipped = put(data, "readings", place, 10.0 * data.readings[place])
+    setup = pincal.Setup(unknown_frame=True)
+    kept = pincal.calibrate(mechanism, slipped, noise=NOISE, setup=setup)
+    assert [one.row for one in kept.outliers] == [row]
+    result = pincal.calibrate(mechanism, slipped, noise=NOISE, setup=setup, loss="reject")
+    assert [one.row for one in result.outliers] == [row]
+    assert result.excess == 1.0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("loss", "method"),
     [("reject", "per-leg"), ("reject", "all-legs"), ("tukey", "all-legs"), ("cauchy", "per-leg")],

@@ -246,7 +246,7 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
 
 
 _UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
-_GROSS = 100.0  # misfit over the median at the start, above which the easier problem omits a row
+_GROSS = 10.0  # misfit over the median at the start, above which the easier problem omits a row
 _EASY_NEAR = 0.1  # distance from the easier problem's optimum, in σ, at which its search ends
 _EASY_EVALUATIONS = 50
 
