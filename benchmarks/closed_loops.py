@@ -33,6 +33,9 @@ HEAD = [
     "held-out poses missed | χ² of errors | s |",
     "|---|---|---|---|---|---|---|---|---|",
 ]
+SCALED = ("ankle",)
+"""Machines with loops that may be scaled as drawn, which errors determine to second order."""
+
 FILES: dict[str, Callable[[Path], Path]] = {
     make.__name__: make
     for make in (
@@ -115,7 +118,8 @@ def main() -> None:
             if options.only and name not in options.only:
                 continue
             try:
-                line = row(name, source, make(), options.sets * (source == "its dimensions"))
+                compared = source == "its dimensions" and name not in SCALED
+                line = row(name, source, make(), options.sets * compared)
             except (AssertionError, ValueError, pincal.PincalError) as error:
                 line = f"| {name} | {source} | refused: {' '.join(str(error).split())[:160]} |"
             print(line, flush=True)
