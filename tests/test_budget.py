@@ -19,7 +19,7 @@ LINES = {
     "cli": 2_687,
     "design": 2_562,
     "estimation": 4_589,
-    "files": 3_369,
+    "files": 3_371,
     "formats": 3_673,
     "instruments": 1_541,
     "kinematics": 3_418,

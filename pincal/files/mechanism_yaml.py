@@ -24,6 +24,7 @@ from pincal.model.joint import End
 from pincal.model.placement import Coordinate
 from pincal.model.platform import KINDS, TWIST
 from pincal.model.terms import Cables, Harmonic, Power, Share, Term
+from pincal.types import Quantity
 
 FORMAT = 1
 YAML = "mechanism.yaml"
@@ -340,3 +341,4 @@ class _Dumper(yaml.CSafeDumper):
 
 for _number in (np.floating, np.integer):
     _Dumper.add_multi_representer(_number, lambda dumper, n: dumper.represent_data(n.item()))
+_Dumper.add_multi_representer(Quantity, yaml.CSafeDumper.represent_float)
