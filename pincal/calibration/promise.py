@@ -23,7 +23,6 @@ from pincal.design.platform_error import (
 )
 from pincal.design.simulate import platform_errors
 from pincal.estimation.observation import Observation
-from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.forward import forward
@@ -108,36 +107,26 @@ def _scaled(result: CalibrationResult, error: PlatformError) -> PlatformError:
 def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tuple[float, float]:
     """Return root mean square errors of the machine that residuals cannot show, [m] and [rad].
 
-    What no parameter holds, such as clearance, acts like noise of the readings, in each leg apart.
-    White rows show a share w of noise σ of the readings. χ² bounds all noise by a scale
-    (``unnoticed``), so that variances up to σ² (scale² - 1) / w may be the machine's. They move the
+    What no parameter holds, such as clearance, acts like errors of the readings, of one size in all
+    of them. White rows show a share w of their variance. χ² bounds all noise by a scale
+    (``unnoticed``), so that variances up to (scale² - 1) / w may be the machine's. They move the
     platform at every pose through B⁻¹ D, apart from the parameters.
     """
-    sigma = np.sqrt(np.nanmean(result.calibration.noise.readings**2, axis=0))
-    if not sigma.any():  # only proportions matter
-        sigma = np.ones_like(sigma)
-    legs = legs_at(result.identified, poses)
-    parts = root_mean_squares(moved_by_readings(result.identified, legs, sigma, seen_by(result)))
-    times = float(np.sqrt((scale**2 - 1.0) / _shown(result, sigma)))
-    return parts[0] * times, parts[1] * times
-
-
-def _shown(result: CalibrationResult, sigma: Array) -> float:
-    """Return the mean square of white rows by noise of the readings, sigma (n_readings,)."""
-    calibration, problems = result.calibration, list[Problem]()
+    calibration, legs = result.calibration, legs_at(result.identified, poses)
     if result.options.latent:
-        problems.append(calibration.every_leg(calibration.used))
+        problems = [calibration.every_leg(calibration.used)]
     else:
-        problems += [calibration.measured_problem([leg.name])[0] for leg in result.legs]
-    squares, start = 0.0, 0
+        problems = [calibration.measured_problem([leg.name])[0] for leg in result.legs]
+    shown, rows = 0.0, sum(int(problem.equations.sum()) for problem in problems)
     for problem in problems:
-        block, external = problem.leg_block, result.outside or problem.observation.external.start
+        external = result.outside or problem.observation.external.start
         parameters = np.concatenate([result.leg(leg.name).identified for leg in problem.legs])
-        matrices = problem.platform.matrices(result.poses[block.data_rows])
+        matrices = problem.platform.matrices(result.poses[problem.leg_block.data_rows])
         linear = problem.evaluate(State(parameters, matrices, external=external))
-        columns = slice(start, start := start + block.n_readings)
-        squares += np.nansum(linear.white(linear.by_reading * sigma[columns]) ** 2)
-    return squares / sum(problem.equations.sum() for problem in problems)
+        shown += float(np.nansum(linear.white(linear.by_reading) ** 2)) / rows
+    parts = root_mean_squares(moved_by_readings(result.identified, legs, seen_by(result)))
+    times = float(np.sqrt((scale**2 - 1.0) / shown))
+    return parts[0] * times, parts[1] * times
 
 
 def most_uncertain(result: CalibrationResult) -> Array:

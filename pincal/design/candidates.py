@@ -115,7 +115,7 @@ class Candidates:
             mechanism, sampled.poses[held], sampled.gain[held], frames
         )
         shown = np.square(information.by_reading).sum(axis=2).mean() ** 0.5
-        self._hidden = moved_by_readings(mechanism, sampled, 1.0 / shown, frames)[held]
+        self._hidden = moved_by_readings(mechanism, sampled, frames)[held] / shown
         held = np.isfinite(legs.gain).all(axis=(1, 2))
         *moves, _ = motions_of(mechanism, legs.poses[held], legs.gain[held], frames)
         self._moves = [np.zeros((len(plan), *part.shape[1:])) for part in moves]

@@ -167,15 +167,13 @@ def outside_of(uncertain: Array, largest: Array) -> Array:
     return np.asarray(ratios * (1.0 - _ROUNDING))
 
 
-def moved_by_readings(
-    mechanism: Mechanism, legs: Legs, sigma: Array | float, frames: Array | Seen | None
-) -> Array:
-    """Return RMS sizes of visible motions, (N, 2), [m] and [rad], by errors of the readings.
+def moved_by_readings(mechanism: Mechanism, legs: Legs, frames: Array | Seen | None) -> Array:
+    """Return RMS sizes of visible motions, (N, 2), [m] and [rad], by unit errors of the readings.
 
-    Conditions B δx + D δψ = 0 turn standard deviations sigma, (n_readings,), into motions by B⁻¹ D.
-    NaN at a type-2 singularity; ``frames`` are as for ``platform_error``.
+    Conditions B δx + D δψ = 0 turn errors of readings into motions by B⁻¹ D. NaN at a type-2
+    singularity; ``frames`` are as for ``platform_error``.
     """
-    twists = least_squares(legs.pose, legs.reading * sigma)
+    twists = least_squares(legs.pose, legs.reading)
     known = np.asarray(np.isfinite(twists).all(axis=(1, 2)))
     moved, units = seen_of(mechanism, legs.poses[known], twists[known], frames)
     by_readings = np.full((len(known), 2), np.nan)
