@@ -15,9 +15,9 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 263,
     "architectures": 616,
-    "calibration": 6_914,
+    "calibration": 6_903,
     "cli": 2_687,
-    "design": 2_562,
+    "design": 2_560,
     "estimation": 4_589,
     "files": 3_371,
     "formats": 3_673,
