@@ -21,6 +21,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.columns import Columns
 from pincal.files.table import TextTable, read_table
+from pincal.files.text import plain_number
 from pincal.model import ROW, TO, Measurements, Setup
 from pincal.model.checks import listed
 from pincal.types import Array
@@ -56,6 +57,11 @@ def related_columns(table: TextTable) -> tuple[TextTable, dict[str, str]]:
                 raise MeasurementError(
                     f"{table.where(row)}: {column}{TO} is {met!r}; expected the name of another "
                     "row, as in the column 'row', or its number if there is none"
+                )
+            if column.startswith("distance") and plain_number(table.text[column][row]) <= 0.0:
+                raise MeasurementError(
+                    f"{table.where(row)}: {column} is {table.text[column][row]}; a distance is "
+                    "above 0 (a height above another row is 'dz')"
                 )
     known = {name: unit for c in columns for name, unit in ((c, "m"), (f"{c}{TO}", ""))}
     return table, {**known, ROW: ""}

@@ -18,7 +18,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import TextTable, is_dataframe, read_table, renamed
 from pincal.files.text import plain_number
 from pincal.model import EVERY_LEG, TO, VERIFY, WAYS, Measurements, Mechanism, Noise, Plan, Setup
-from pincal.model.checks import array_of, must_be
+from pincal.model.checks import array_of, listed, must_be
 from pincal.model.platform import columns_of, in_part, rotation_of
 from pincal.types import Array
 from pincal.words.numbers import amount
@@ -121,10 +121,14 @@ def read_measurements(
     extra, sigma_extra = _quantities(table, further, pixels, partial=partial or bool(named))
     if not partial and not np.isfinite(np.column_stack((poses, *(extra | pixels).values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
+    readings = table.array(reading_units(mechanism), blank=partial)
+    if readings.shape[1] and not np.isfinite(readings).any():
+        empty = listed(mechanism.reading_names)
+        raise MeasurementError(f"{table.path}: no row has a reading; fill in the columns {empty}")
     data = Measurements(
         poses=poses,
         sets=_sets(table, mechanism),
-        readings=table.array(reading_units(mechanism), blank=partial),
+        readings=readings,
         sigma_poses=_sigmas(table, freedoms, partial=partial),
         sigma_readings=_sigmas(table, reading_units(mechanism)),
         extra=extra | pixels,

@@ -310,20 +310,24 @@ def _cell_of(value: Any, formula: Any) -> str:
 def renamed(table: TextTable, headers: Mapping[str, str]) -> TextTable:
     """Return a table whose columns are renamed to headers such as ``leg_1 [mm]``.
 
-    A header without a unit keeps the unit of the column.
+    A header without a unit keeps the unit of the column. ``A`` also names the column ``A (mm)``.
 
     Raises:
         MeasurementError: the table does not have a column, or two get the same name.
     """
     names = {name: (name, unit) for name, unit in table.units.items()}
-    for column, header in headers.items():
+    bare = {name.partition("(")[0].strip(): name for name in table.units}
+    for typed, header in headers.items():
+        column = typed if typed in names else bare.get(typed, typed)
         if column not in names:
             raise MeasurementError(
                 f"{table.path}: no column {column!r}, which is to be {header!r}. The file has "
                 f"{', '.join(table.units)}"
             )
         name, _, unit = (part.strip() for part in header.partition("["))
-        names[column] = name, unit.removesuffix("]") or table.units[column]
+        behind = column.partition("(")[2].rstrip(") ")
+        unit = unit.removesuffix("]") or table.units[column] or behind * (behind in UNITS)
+        names[column] = name, unit or None
     if len(units := dict(names.values())) < len(names):
         raise MeasurementError(f"{table.path}: {dict(headers)} gives two columns the same name")
     text = {names[column][0]: cells for column, cells in table.text.items()}

@@ -130,12 +130,16 @@ def points_in(boards: Sequence[Board], paths: Iterable[Path]) -> Iterator[PhotoP
 
 
 def checked(photos: Sequence[PhotoPoints]) -> None:
-    """Leave out photos that are blurred, or turned, compared with most others."""
+    """Leave out photos that are blurred, or turned, compared with most others, and copies."""
     blurs = [photo.blur for photo in photos if photo.points]
     sizes = [photo.size for photo in photos]
     usual = max(sizes, key=sizes.count) if sizes else (0, 0)
+    first: dict[bytes, str] = {}
     for photo in photos:
-        if photo.size != usual:
+        original = first.setdefault(photo.small.tobytes(), photo.name)
+        if original != photo.name:
+            photo.reason = f"the same picture as {original}"
+        elif photo.size != usual:
             turned = ": some program has turned it" * (photo.size == usual[::-1])
             photo.reason = "{}x{} pixels, the others {}x{}".format(*photo.size, *usual) + turned
         elif photo.points and photo.blur > max(_SHARP, _BLURRED * float(np.median(blurs))):

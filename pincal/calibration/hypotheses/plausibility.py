@@ -335,13 +335,18 @@ def check_contacts(observation: Observation, data: Measurements) -> None:
             )
 
 
-_MISTAKEN = {25.4: "inches", 10.0: "centimetres", 1e3: "metres", 1 / 25.4: "millimetres"}
-"""Real unit of lengths that are too short by a factor, their unit taken for mm, or for inches."""
+_MISTAKEN = {25.4: "inches", 10.0: "centimetres", 1e3: "metres"} | dict.fromkeys(
+    (1 / 25.4, 0.1, 1e-3), "millimetres"
+)
+"""Real unit of lengths that are too short by a factor: they were taken for mm, or are in mm."""
 _ABOUT = 0.1  # relative tolerance on that factor
 
 
 def check_distances(calibration: Calibration) -> None:
-    """Raise if a distance between rows fits the nominal machine only in another unit or sign."""
+    """Raise if distances between rows fit the nominal machine only in another unit or sign.
+
+    If more distances miss it, whatever the unit, their unit is not what is wrong.
+    """
     observation, data = calibration.observation, calibration.measurements
     least = QUESTIONED * calibration.mechanism.size
     if not observation.setup.between_rows or not np.isfinite(data.readings).all():
@@ -358,7 +363,8 @@ def check_distances(calibration: Calibration) -> None:
         for factor in _MISTAKEN if kind == "distance" else (-1.0,):
             expected = factor * measured
             wrong = clear & (np.abs(nominal - expected) < _ABOUT * np.abs(expected))
-            if wrong.any():
+            missing = clear & (np.abs(missed[:, place]) > least)
+            if 2 * wrong.sum() > missing.sum():
                 row = int(np.argmax(wrong))
                 a, b = (data.contacts[name][row] for name in (f"{column}{TO}", ROW))
                 lengths = [amount(float(values[row]), "m") for values in (measured, nominal)]
