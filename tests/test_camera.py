@@ -145,7 +145,8 @@ def test_derivatives_of_a_camera(make, kind: str) -> None:  # type: ignore[no-un
     """By the platform's twist and by all unknowns, points and scale among them; to 1e-7."""
     true = make(kind)
     points = BOARD | {"q": None}
-    board = replace(true.markers, points=points, known=False, tolerance=1e-3, scale=1e-3)
+    unsure = {"tolerance": 1e-3, "scale": 1e-3, "stretch": 1e-3}
+    board = replace(true.markers, points=points, known=False, **unsure)
     camera = replace(true, known=False, markers=board, lens=_lens(kind, unknown=True))
     rng = np.random.default_rng(0)
     values = np.array([p.nominal for p in camera.parameters])
@@ -395,6 +396,28 @@ def test_what_is_not_seen_has_no_noise() -> None:
     setup = pincal.Setup(instruments=(_camera(),))
     result = pincal.calibrate("6UPS", replace(data, extra=extra), setup=setup)
     assert result.noise.pixel == pytest.approx(0.1, rel=0.2)
+
+
+@pytest.mark.parametrize("stretch", [1.0, 1.003])
+def test_a_print_that_is_longer_along_y_is_no_fault_of_the_camera(stretch: float) -> None:
+    """What a printer stretched along y is identified; taken as square it spoils the fit."""
+    true = _camera()
+    drawn = {name: (4.0 * x, 4.0 * y, z) for name, (x, y, z) in BOARD.items()}
+    points = {name: (x, stretch * y, z) for name, (x, y, z) in drawn.items()}
+    printed = replace(true, markers=replace(true.markers, points=points))
+    _, data = _measured(printed, noise=0.05, count=24)
+    noise, results = pincal.Noise(reading=1e-6, pixel=0.05), []
+    for sigma in (0.0, 3e-3):
+        device = replace(_unknown(true), markers=pincal.Markers(drawn, stretch=sigma))
+        setup = pincal.Setup(instruments=(device,))
+        results.append(pincal.calibrate("6UPS", data, setup=setup, noise=noise, folds=0))
+    assert (results[0].reduced_chi2 < 1.2) == (stretch == 1.0)
+    result = results[1]
+    identified = result["board.stretch"]
+    assert identified.std < 2e-3
+    assert abs(identified.identified - stretch) < 4.0 * identified.std
+    assert result.reduced_chi2 < 1.2
+    assert not result.findings
 
 
 @pytest.mark.slow

@@ -67,6 +67,8 @@ class Markers:
     """Standard deviation of each coordinate of a known point, [m]."""
     scale: float = 0.0
     """Standard deviation of all lengths between points together, relative: of a print's pitch."""
+    stretch: float = 0.0
+    """Standard deviation of lengths along y over those along x: printers feed paper unevenly."""
     normal: Point | None = None
     """Direction from which they can be read, in their frame; any if not said."""
     clear: float = 0.0
@@ -78,15 +80,14 @@ class Markers:
         object.__setattr__(self, "points", named_points(self.points, label, error))
         for name in ("at", "rotation", *["normal"] * (self.normal is not None)):
             set_point(self, name, f"{name} of {label}", error)
-        check_sizes(self, ("tolerance", "scale", "clear"), f"{label}'s", error)
+        check_sizes(self, ("tolerance", "scale", "stretch", "clear"), f"{label}'s", error)
 
     @cached_property
     def priors(self) -> dict[str, float]:
         """Of each number of the markers that is unknown its standard deviation, infinite if so."""
         unplaced = not self.known and any(point is not None for point in self.points.values())
         sigmas = dict.fromkeys((name for name, _ in _PLACE), np.inf) if unplaced else {}
-        if self.scale:
-            sigmas["scale"] = self.scale
+        sigmas |= {n: s for n in ("scale", "stretch") if (s := getattr(self, n))}
         for name, point in self.points.items():
             sigma = np.inf if point is None else self.tolerance
             if sigma:
@@ -97,9 +98,9 @@ class Markers:
     def values(self) -> dict[str, float]:
         """Nominal values of all numbers of the markers; points that are unknown at zero."""
         points = [point or (0.0, 0.0, 0.0) for point in self.points.values()]
-        numbers = [*self.at, *self.rotation, 1.0, *np.ravel(points)]
+        numbers = [*self.at, *self.rotation, 1.0, 1.0, *np.ravel(points)]
         of_points = (f"{name}_{axis}" for name in self.points for axis in _AXES)
-        names = [*(name for name, _ in _PLACE), "scale", *of_points]
+        names = [*(name for name, _ in _PLACE), "scale", "stretch", *of_points]
         return dict(zip(names, map(float, numbers), strict=True))
 
     @property
@@ -133,7 +134,7 @@ class Markers:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """What is unknown of them."""
-        units = {**dict(_PLACE), "scale": "1"}
+        units = {**dict(_PLACE), "scale": "1", "stretch": "1"}
         return tuple(
             Parameter(self.name, name, units.get(name, "m"), self.values[name])
             for name in self.priors
@@ -228,13 +229,14 @@ class Camera:
         names += [f"{self.markers.name}.{name}" for name in markers]
         return every, np.array([names.index(p.id) for p in self.parameters], dtype=int)
 
-    def _parts(self, values: Array) -> tuple[Array, Array, Array, float, Array]:
-        """Return the camera's place, the lens, and the markers' place, scale and points."""
+    def _parts(self, values: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return the camera's place, the lens, and the markers' place, scales (3,) and points."""
         every, places = self._numbers
         numbers = every.copy()
         numbers[places] = values
         place, lens, markers = np.split(numbers, [6, 6 + len(self.lens.values)])
-        return place, lens, markers[:6], float(markers[6]), markers[7:].reshape(-1, 3)
+        scales = markers[6] * np.array([1.0, markers[7], 1.0])
+        return place, lens, markers[:6], scales, markers[8:].reshape(-1, 3)
 
     def stand(self, values: Array) -> Array | None:
         """Return T_frame_camera, shape (4, 4); none if the platform holds it."""
@@ -242,9 +244,9 @@ class Camera:
 
     def _carried(self, poses: Array, values: Array) -> tuple[Array, Array, Array]:
         """Return T, (N, 4, 4), markers X in their holder's frame, (M, 3), and T X, (N, M, 3)."""
-        _, _, on_holder, scale, points = self._parts(values)
+        _, _, on_holder, scales, points = self._parts(values)
         T: Array = np.linalg.inv(poses) if self.on_platform else poses  # type: ignore[assignment]
-        X = scale * points @ _matrix(on_holder)[:3, :3].T + on_holder[:3]
+        X = (scales * points) @ _matrix(on_holder)[:3, :3].T + on_holder[:3]
         return T, X, X @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
 
     def evaluate(self, poses: Array, values: Array, measured: Array) -> Residuals:
@@ -252,9 +254,9 @@ class Camera:
 
         NaN where a point is behind a pinhole.
         """
-        place, lens, on_holder, scale, points = self._parts(values)
+        place, lens, on_holder, scales, points = self._parts(values)
         T, X, moved = self._carried(poses, values)
-        (N, M), turned = moved.shape[:2], points @ _matrix(on_holder)[:3, :3].T
+        (N, M), turned, turn = moved.shape[:2], X - on_holder[:3], _matrix(on_holder)[:3, :3]
         R, ray = _matrix(place)[:3, :3], moved - place[:3]
         pixels, by_seen, by_lens = self.lens.project(ray @ R, lens)
         by_moved = by_seen @ R.T  # by T X, (N, M, 2, 3)
@@ -271,12 +273,13 @@ class Camera:
         by_markers = by_every[..., 6 + len(lens) :]  # a view
         by_every[..., 6 : 6 + len(lens)] = by_lens
         by_markers[..., :3] = by_X
-        by_markers[..., 3:6] = np.cross(scale * turned[:, None], by_X) @ _jacobian(on_holder[3:])
-        by_markers[..., 6] = (by_X * turned[:, None]).sum(axis=3)
-        if (places >= 6 + len(lens) + 7).any():
-            by_points = scale * by_X @ _matrix(on_holder)[:3, :3]
+        by_markers[..., 3:6] = np.cross(turned[:, None], by_X) @ _jacobian(on_holder[3:])
+        by_markers[..., 6] = (by_X * turned[:, None]).sum(axis=3) / scales[0]
+        by_points = by_X @ turn * scales
+        by_markers[..., 7] = by_points[..., 1] * (points[:, 1] * scales[0] / scales[1])[:, None]
+        if (places >= 6 + len(lens) + 8).any():
             for m in range(M):
-                by_markers[:, m, :, 7 + 3 * m : 10 + 3 * m] = by_points[:, m]
+                by_markers[:, m, :, 8 + 3 * m : 11 + 3 * m] = by_points[:, m]
         rows = (N, 2 * M)
         by_parameters = by_every[..., places].reshape(*rows, len(places))
         return pixels.reshape(rows) - measured, by_twist.reshape(*rows, 6), by_parameters
@@ -363,7 +366,7 @@ class Camera:
         board, ids = self.markers, [parameter.id for parameter in self.parameters]
         T, X, _ = self._carried(poses, values)
         rays = self.lens.rays(measured.reshape(len(poses), -1, 2))
-        unknown = {f"{board.name}.{name}" for name in board.priors if name != "scale"}
+        unknown = {f"{board.name}.{name}" for name in {*board.priors} - {"scale", "stretch"}}
         begun = placed_by_rays(T, rays, None if unknown - {*known} else X)
         if begun is None:
             return values

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 from pincal.errors import MeasurementError, located
 from pincal.files.yaml import Entry, Readers, Vector, read_yaml
-from pincal.instruments.board import CHEQUERED, read_board
+from pincal.instruments.board import CHEQUERED, UNCHECKED, read_board
 from pincal.instruments.camera import Camera, Markers
 from pincal.instruments.lens import Lens
 from pincal.model import Setup, Target
@@ -57,7 +57,7 @@ def _board(entry: Entry, name: str, folder: Path) -> Markers:
     if isinstance(entry.value, str):
         return Markers(name=name, **_printed(folder / entry.text()))
     place = dict.fromkeys(("at", "rotation", "normal"), Entry.vector)
-    numbers = dict.fromkeys(("tolerance", "scale", "clear"), Entry.number)
+    numbers = dict.fromkeys(("tolerance", "scale", "stretch", "clear"), Entry.number)
     readers: Readers = {"points": _points, "file": Entry.text, "known": Entry.flag}
     values = entry.values({**readers, **place, **numbers})
     if "file" in values:
@@ -73,8 +73,8 @@ def _printed(path: Path) -> dict[str, Any]:
     if board.kind == "markers":
         return {"points": dict.fromkeys(board.points)}
     clear = board.clear if board.kind in CHEQUERED else 0.0  # only OpenCV can tell for markers
-    fields = {"points": board.points, "scale": board.scale_sigma, "clear": clear}
-    return {**fields, "normal": (0.0, 0.0, 1.0)}
+    fields = {"points": board.points, "scale": board.scale_sigma, "stretch": UNCHECKED}
+    return {**fields, "clear": clear, "normal": (0.0, 0.0, 1.0)}
 
 
 def _lens(entry: Entry, name: str) -> Lens:
