@@ -21,7 +21,7 @@ LINES = {
     "estimation": 4_589,
     "files": 3_385,
     "formats": 3_673,
-    "instruments": 1_549,
+    "instruments": 1_548,
     "kinematics": 3_418,
     "model": 3_572,
     "show": 4_156,
