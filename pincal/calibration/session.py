@@ -188,7 +188,7 @@ class Session:
     @property
     def limit(self) -> float:
         """The 95 % limit of the stated error, [m]; infinite if none, or if a row contradicts it."""
-        contradicted = self.doubtful is not None and not self.enough
+        contradicted = self.contradicted and not self.enough
         return np.inf if self.error is None or contradicted else self.error.limit[0]
 
     @property
@@ -285,7 +285,7 @@ class Session:
         places = np.array(self.measured)[: len(calibration.measurements)]
         try:
             near = self._near(calibration, places)
-            unaided, part = self.candidates.freedoms(near.sum()) > 0, calibration.rows(near)
+            unaided, part = self.candidates.freedoms(places[near]) > 0, calibration.rows(near)
             fits = fitted(part.with_options(priors={}) if unaided else part)
             self.doubtful, self.result = doubtful_row(fits), assemble(fits)
             self._predictor = self._drawn._replace(fits=fits, excess=self.result.excess)

@@ -34,7 +34,7 @@ from pincal.errors import MeasurementError
 from pincal.estimation.observability.gauge import unexplained
 from pincal.kinematics.configurations import legs_at
 from pincal.model import Mechanism, Noise, Plan, Setup
-from pincal.types import Array, Mask
+from pincal.types import Array, Index, Mask
 from pincal.workspace.sampling import sample_configurations
 
 COVERED = 0.95
@@ -93,7 +93,7 @@ class Candidates:
         legs = legs_at(mechanism, touching(mechanism, plan, setup))
         information = information_rows(mechanism, legs, noise, measured, setup)
         unknowns, known = information.unknowns, information.priors
-        self.offered = legs.reached & ~plan.verifying
+        self._verifying, self.offered = plan.verifying, legs.reached & ~plan.verifying
         self.rows = np.zeros((len(plan), *information.rows.shape[1:]))
         self.rows[legs.reached] = information.rows * self.offered[legs.reached, None, None]
         spread = np.full(len(unknowns), _FAR * max(mechanism.size, 1.0))
@@ -126,13 +126,10 @@ class Candidates:
         while len(self.course) < _COURSE and self.fresh(self.course).any():
             self.course.append(self.best(self.course)[0])
 
-    def information(self, measured: Sequence[int]) -> Array:
-        """Return the information M of priors and measured rows of the plan, shape (n, n)."""
-        return self._information(self.beforehand, measured)
-
-    def _information(self, beforehand: Array, measured: Sequence[int]) -> Array:
+    def information(self, measured: Sequence[int], beforehand: Array | None = None) -> Array:
+        """Return the information M of measured rows of the plan, and of priors, shape (n, n)."""
         flat = self.rows[list(measured)].reshape(-1, self.rows.shape[2])
-        rows = np.concatenate((beforehand, flat))
+        rows = np.concatenate((self.beforehand if beforehand is None else beforehand, flat))
         return np.asarray(rows.T @ rows)
 
     @one_thread()
@@ -143,7 +140,7 @@ class Candidates:
         quantile is taken from the χ² of equal mean, tr V, and variance, 2 tr V² (Satterthwaite
         1946).
         """
-        root = inverse_roots(self._information(self.vague, measured)[None])[0]
+        root = inverse_roots(self.information(measured, self.vague)[None])[0]
         root = root[: self._sampled.shape[2]]  # of the parameters
         moves, rows = self._sampled @ root, list(measured)
         at_rows, at_plan = (
@@ -167,9 +164,10 @@ class Candidates:
         """Return the sizes of motions by parameters, (N, r, n), as an array (N, 2)."""
         return sizes(self._units, np.linalg.norm(moves, axis=2))
 
-    def freedoms(self, count: int) -> int:
-        """Return by how much the equations of a number of rows are more than the unknowns."""
-        return count * self.rows.shape[1] - self._determining
+    def freedoms(self, measured: Sequence[int] | Index, more: int = 0) -> int:
+        """Return how many more equations than unknowns a fit of measured and ``more`` rows has."""
+        count = (~self._verifying[list(measured)]).sum() + more
+        return int(count) * self.rows.shape[1] - self._determining
 
     def limit(self, measured: Sequence[int], surplus: float = 0.0, more: int = 0) -> float:
         """Return the 95 % limit of the error, [m], that measured rows will promise without priors.
@@ -178,7 +176,7 @@ class Candidates:
         that residuals cannot show, as in ``PlatformError``. The error falls with the square root of
         the number of rows if there are ``more`` of them.
         """
-        if (freedoms := self.freedoms(len(measured) + more)) <= 0:
+        if (freedoms := self.freedoms(measured, more)) <= 0:
             return np.inf
         stated, times = self.stated(*measured), 1.0 + more / len(measured)
         scale = unnoticed(1.0 + surplus / freedoms, freedoms)

@@ -56,12 +56,12 @@ def unexplained(units: Sequence[str], twists: Array, motions: Array, size: float
 
     It is by least squares over all poses, angles counting as lengths at a radius ``size``.
     """
+    if not motions.size:
+        return twists
     scale = np.array([1.0 if unit == "m" else size for unit in units])[:, None]
     count = twists.shape[0] * twists.shape[1]
     flat = (motions * scale).reshape(count, motions.shape[2])
     targets = (twists * scale).reshape(count, twists.shape[2])
-    if not flat.size:
-        return twists
     lengths = np.linalg.norm(flat, axis=0)
     U, s, _ = np.linalg.svd(flat / np.where(lengths > 0.0, lengths, 1.0), full_matrices=False)
     U = U[:, s > RANK_TOLERANCE * s[0]]
