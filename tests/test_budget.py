@@ -17,7 +17,7 @@ LINES = {
     "architectures": 616,
     "calibration": 6_909,
     "cli": 2_695,
-    "design": 2_560,
+    "design": 2_558,
     "estimation": 4_589,
     "files": 3_385,
     "formats": 3_673,
