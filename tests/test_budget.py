@@ -16,7 +16,7 @@ LINES = {
     "": 263,
     "architectures": 616,
     "calibration": 6_909,
-    "cli": 2_695,
+    "cli": 2_696,
     "design": 2_558,
     "estimation": 4_589,
     "files": 3_385,

@@ -26,7 +26,8 @@ def offered(name: str, declared: Option) -> typer.models.OptionInfo:
         if isinstance(text, float):
             return text
         try:
-            return in_si(text, declared.unit, None if declared.needs_unit else "")
+            value = in_si(text, declared.unit, None if declared.needs_unit else "")
+            return value if " " in declared.unit else float(value)  # else its dimension is known
         except MeasurementError as error:
             raise typer.BadParameter(str(error)) from None
 
