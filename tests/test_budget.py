@@ -19,7 +19,7 @@ LINES = {
     "cli": 2_696,
     "design": 2_558,
     "estimation": 4_589,
-    "files": 3_385,
+    "files": 3_387,
     "formats": 3_673,
     "instruments": 1_548,
     "kinematics": 3_418,

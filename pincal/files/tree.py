@@ -234,6 +234,8 @@ def root_of(edges: Sequence[Edge], links: Sequence[str], source: str) -> str:
             "loops are closed by constraints"
         )
     roots = [link for link in links if link not in set(children)]
+    if not links:
+        raise MechanismError(f"{source}: no joint connects its links; import a model with joints")
     if len(roots) != 1:
         raise MechanismError(f"{source}: {len(roots)} root links ({listed(roots)}); expected one")
     lost, reached = {link for edge in edges for link in (edge.parent, edge.child)}, {roots[0]}
