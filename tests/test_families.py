@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from family_forms import FAMILIES, Family, joints, nominal, poses_around_home, random_geometry
+from moved import equivariance
 from numpy.typing import NDArray
 
 import pincal
@@ -198,7 +199,7 @@ def test_the_symmetry_found_is_that_of_the_definition(name: str) -> None:
     expected = definition(name)["GROUP"]
     assert len(group.elements) == (6 if name == "3RPR" else len(expected))
     assert all(any(e.equals(one) for one in group.elements) for e in expected)
-    assert group.equivariance(poses_of(name)) < 1e-11
+    assert equivariance(group, poses_of(name)) < 1e-11
 
 
 def test_cable_robots_of_any_number_of_posts() -> None:
