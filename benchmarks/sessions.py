@@ -7,7 +7,8 @@ number of further poses that was forecast after each row over the number that it
 
     python benchmarks/sessions.py [MACHINES] [KIND …]
 
-writes ``docs/tables/sessions.csv``. ``--kills N`` kills a session N times at random instead.
+writes ``docs/tables/sessions.csv``. Slips are in sessions only; with ``--sound`` there are none,
+and poses are printed. ``--kills N`` kills a session N times at random instead.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from arms import loaded  # noqa: E402
 from bench import NOISE, Bench  # noqa: E402
 
 CANDIDATES, PLANNED = 300, 60  # poses to choose from; of the plan made beforehand, at most
-SLIP, EVERY = 10.0, 4  # standard deviations; rows of which one slips, on its first try
+SLIP, SHARE = 10.0, 0.25  # standard deviations; share of rows that slip on their first try
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,13 @@ def kinds() -> dict[str, Kind]:
 
 
 def held(
-    kind: Kind, bench: Bench, folder: Path, rng: np.random.Generator, *, in_order: bool
+    kind: Kind,
+    bench: Bench,
+    folder: Path,
+    rng: np.random.Generator,
+    slips: float,
+    *,
+    in_order: bool,
 ) -> dict[str, Any]:
     """Hold a session to its end; return counts, and whether its promise was kept."""
     options = SessionOptions(
@@ -80,7 +87,7 @@ def held(
         row = len(session.measured) if in_order else session.next_pose()[0]
         cells = bench.entry(session.columns, row)
         determined = session.error is not None and np.isfinite(session.error.position)
-        if not in_order and determined and rng.random() < 1.0 / EVERY:
+        if not in_order and determined and rng.random() < slips:
             head = str(rng.choice(session.observed))
             sigma = 0.02 if "mm" in head else float(np.degrees(2e-5))
             wrong = float(cells[head]) + SLIP * sigma * (1 if rng.random() < 0.5 else -1)
@@ -133,7 +140,7 @@ def held(
     }
 
 
-def measured(count: int, names: list[str]) -> None:
+def measured(count: int, names: list[str], slips: float) -> None:
     """Hold sessions, and bring the rows of their kinds in the table up to date after each."""
     for name, kind in kinds().items():
         if names and name not in names:
@@ -148,10 +155,13 @@ def measured(count: int, names: list[str]) -> None:
             bench = Bench(kind.mechanism, candidates, kind.setup, seed)
             beforehand = Bench(kind.mechanism, plan, kind.setup, seed)
             with tempfile.TemporaryDirectory() as folder:
-                sessions.append(held(kind, bench, Path(folder) / "a", rng, in_order=False))
-                fixed.append(held(kind, beforehand, Path(folder) / "b", rng, in_order=True))
+                sessions.append(held(kind, bench, Path(folder) / "a", rng, slips, in_order=False))
+                fixed.append(held(kind, beforehand, Path(folder) / "b", rng, 0.0, in_order=True))
             print(name, seed, sessions[-1], fixed[-1], flush=True)
-            write(name, kind, sessions, fixed)
+            if slips:
+                write(name, kind, sessions, fixed)
+        if not slips:
+            print(name, *(np.median([one["poses"] for one in kept]) for kept in (sessions, fixed)))
 
 
 def write(
@@ -238,7 +248,8 @@ def main(arguments: list[str]) -> None:
     if arguments[:1] == ["--kills"]:
         killed(int(arguments[1]))
         return
-    measured(int(arguments[0]) if arguments else 50, arguments[1:])
+    slips, arguments = (0.0, arguments[1:]) if "--sound" in arguments[:1] else (SHARE, arguments)
+    measured(int(arguments[0]) if arguments else 50, arguments[1:], slips)
 
 
 if __name__ == "__main__":

@@ -127,6 +127,15 @@ def test_photos_to_table(tmp_path: Path) -> None:
     assert "in the order given" in outcome.err
     corners = pd.read_csv(tmp_path / "m.csv")
     assert dict(zip(corners["image"], corners["row"], strict=True)) == {"b.png": 1, "a.png": 2}
+    photos[0].rename(tmp_path / "img10.png")
+    photos[1].rename(tmp_path / "img9.png")
+    photos = sorted(tmp_path.glob("img*.png"))  # as a shell lists them
+    done("detect", tmp_path / "b.yaml", *photos, "--rows", rows, "-o", tmp_path / "k.csv")
+    corners = pd.read_csv(tmp_path / "k.csv")
+    assert dict(zip(corners["image"], corners["row"], strict=True)) == {
+        "img9.png": 1,
+        "img10.png": 2,
+    }
 
 
 @pytest.mark.parametrize(
@@ -160,13 +169,14 @@ def test_photos_of_something_else_say_why(fault: str, told: str, tmp_path: Path)
 
 @pytest.mark.slow
 def test_a_photo_that_a_program_turned_is_left_out(tmp_path: Path) -> None:
-    """One whose sides are exchanged has another lens: it is named, and not used."""
+    """One whose sides are exchanged has another lens; it is named, and so is a copy."""
     grey, _ = photograph(CHARUCO, facing(CHARUCO, 0.42, TILTS[0]), Pinhole())
-    pictures = (grey, grey, np.ascontiguousarray(grey.T[::-1]))
+    pictures = (grey, (0.98 * grey).astype(grey.dtype), np.ascontiguousarray(grey.T[::-1]), grey)
     paths = [save(tmp_path / f"{i}.png", picture) for i, picture in enumerate(pictures)]
     photos = seen([CHARUCO], *paths)
-    assert [bool(photo.points) for photo in photos] == [True, True, False]
+    assert [bool(photo.points) for photo in photos] == [True, True, False, False]
     assert "480x640 pixels, the others 640x480: some program has turned it" in photos[2].reason
+    assert photos[3].reason == "the same picture as 0.png"
 
 
 @pytest.mark.slow

@@ -199,10 +199,12 @@ class Session:
         """
         if self.options.accuracy is None or self.enough:
             return 0
-        surplus = 0.0
+        surplus, accuracy = 0.0, self.options.accuracy
         if self.result is not None and self.error is not None and self.error.promised:
             surplus = (self.result.reduced_chi2 - 1.0) * self.result.chi2_freedoms
-        return max(1, self.candidates.missing(self.measured, self.options.accuracy, surplus))
+            of_drawing = self.candidates.limit(self.measured, surplus)
+            accuracy *= of_drawing / self.error.limit[0] if np.isfinite(of_drawing) else 1.0
+        return max(1, self.candidates.missing(self.measured, accuracy, surplus))
 
     def add(self, entry: Mapping[str, str], row: int | None = None) -> Checked:
         """Record and check what was measured at a row of the plan, by default the next one.

@@ -89,7 +89,7 @@ class DetectOptions:
     rows: Path | None = option(
         None,
         "Measurements to whose rows the photos belong: by the column 'image', or in the order in "
-        "which the photos were taken, or else of the numbers in their names.",
+        "which the photos were taken, or else are given (img2 before img10).",
         metavar="CSV",
     )
     camera: str = option("", "Name of the camera, if the setup has several.")
@@ -174,7 +174,7 @@ def _rows(path: Path, photos: Sequence[PhotoPoints]) -> dict[str, int]:
 
 
 def _rows_by_time(path: Path, rows: int, photos: Sequence[PhotoPoints]) -> dict[str, int]:
-    """Return the row for each photo by the order of their times, or else of their names."""
+    """Return the row for each photo by the order of their times, or else as they are given."""
     if len(photos) != rows:
         raise MeasurementError(
             f"{counted(len(photos), 'photo')} and {counted(rows, 'row')} of {path}: some are "
@@ -183,19 +183,22 @@ def _rows_by_time(path: Path, rows: int, photos: Sequence[PhotoPoints]) -> dict[
         )
     times = {photo.taken for photo in photos}
     by_time = None not in times and len(times) == rows
-    reason = "times" if by_time else "names, since not every photo has a time of its own"
-    remark(f"photos belong to rows in the order of their {reason}")
-    ordered = sorted(photos, key=lambda photo: _with_numbers(photo.name))
+    reason = "of their times" if by_time else "given, since not every photo has a time of its own"
+    remark(f"photos belong to rows in the order {reason}")
+    names = [photo.name for photo in photos]
+    ordered = list(photos)
     if by_time:
         order = np.argsort(np.array([photo.taken for photo in photos], "datetime64[us]"))
         ordered = [photos[place] for place in order]
+    elif names == sorted(names):  # as a shell lists them: img10 before img2
+        ordered.sort(key=lambda photo: _with_numbers(photo.name))
     return {photo.name: row for row, photo in enumerate(ordered, 1)}
 
 
 def _with_numbers(name: str) -> list[tuple[int, str]]:
     """Return a key that sorts names by the numbers in them: img2 before img10."""
-    parts = re.split(r"(\d+)", name)
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in parts]
+    pieces = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in pieces]
 
 
 def _left_out(photos: Sequence[PhotoPoints]) -> list[str]:

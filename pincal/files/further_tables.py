@@ -58,13 +58,19 @@ def related_columns(table: TextTable) -> tuple[TextTable, dict[str, str]]:
                     f"{table.where(row)}: {column}{TO} is {met!r}; expected the name of another "
                     "row, as in the column 'row', or its number if there is none"
                 )
-            if column.startswith("distance") and plain_number(table.text[column][row]) <= 0.0:
-                raise MeasurementError(
-                    f"{table.where(row)}: {column} is {table.text[column][row]}; a distance is "
-                    "above 0 (a height above another row is 'dz')"
-                )
+    _check_distances(table, [column for column in columns if column.startswith("distance")])
     known = {name: unit for c in columns for name, unit in ((c, "m"), (f"{c}{TO}", ""))}
     return table, {**known, ROW: ""}
+
+
+def _check_distances(table: TextTable, columns: Sequence[str]) -> None:
+    for column in columns:
+        for row, cell in enumerate(table.text.get(column, ())):
+            if plain_number(cell) <= 0.0:
+                raise MeasurementError(
+                    f"{table.where(row)}: {column} is {cell}; a distance is above 0 (a height "
+                    "above another row is 'dz')"
+                )
 
 
 def _named(table: TextTable) -> TextTable:

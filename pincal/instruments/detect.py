@@ -134,9 +134,9 @@ def checked(photos: Sequence[PhotoPoints]) -> None:
     blurs = [photo.blur for photo in photos if photo.points]
     sizes = [photo.size for photo in photos]
     usual = max(sizes, key=sizes.count) if sizes else (0, 0)
-    first: dict[bytes, str] = {}
+    names: dict[bytes, str] = {}
     for photo in photos:
-        original = first.setdefault(photo.small.tobytes(), photo.name)
+        original = names.setdefault(photo.small.tobytes(), photo.name)
         if original != photo.name:
             photo.reason = f"the same picture as {original}"
         elif photo.size != usual:

@@ -231,13 +231,13 @@ def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list
     calibration, rows = case.calibration, case.rows
     data = [hypothesis.right(calibration.measurements).rows(rows) for hypothesis in hypotheses]
     calibrations = [replace(calibration, measurements=right) for right in data]
-    poses, parts = _placed(case, calibrations), []
+    poses, blocks = _placed(case, calibrations), []
     for corrected, matrices in zip(calibrations, poses, strict=True):
         used = corrected.used & np.reshape(np.isfinite(matrices).all(axis=(1, 2)), (-1, 1))
         of_used = np.flatnonzero(used.any(axis=1))
-        parts.append(corrected.leg_block(range(used.shape[1]), of_used, used[of_used]))
-    closed = _closed(parts, [T[part.data_rows] for part, T in zip(parts, poses, strict=True)])
-    fits = zip(hypotheses, calibrations, poses, parts, closed, strict=True)
+        blocks.append(corrected.leg_block(range(used.shape[1]), of_used, used[of_used]))
+    closed = _closed(blocks, [T[block.data_rows] for block, T in zip(blocks, poses, strict=True)])
+    fits = zip(hypotheses, calibrations, poses, blocks, closed, strict=True)
     return [_fit(*fit) for fit in fits]
 
 
@@ -283,11 +283,13 @@ def _closed(blocks: Sequence[LegBlock], poses: Sequence[Array]) -> list[BlockRow
     """Return the residuals of blocks of the nominal legs at poses, (N, 4, 4), in one evaluation."""
     if not blocks:
         return []
-    first, ends = blocks[0], np.cumsum([len(T) for T in poses])
+    ends = np.cumsum([len(T) for T in poses])
     block = replace(
-        first,
+        blocks[0],
         readings=np.concatenate([block.readings for block in blocks]),
-        influences={n: np.concatenate([b.influences[n] for b in blocks]) for n in first.influences},
+        influences={
+            n: np.concatenate([b.influences[n] for b in blocks]) for n in blocks[0].influences
+        },
         data_rows=np.concatenate([block.data_rows for block in blocks]),
         used=np.concatenate([block.used for block in blocks]),
         sigma=np.concatenate([block.sigma for block in blocks]),
