@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtrc
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO
@@ -28,7 +28,7 @@ from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.robust import check_covariance, robust_fit
 from pincal.estimation.system import Loss, System, loss_of
 from pincal.estimation.unknowns import External, State
-from pincal.model import Leg, Noise
+from pincal.model import Leg, Mechanism, Noise
 from pincal.model.checks import ALIKE
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import WORDINGS, finding
@@ -36,6 +36,7 @@ from pincal.words.wording import filled
 
 ROUNDS = 20  # largest number of alternations of fits with the noise, or with frames
 _HELD_MOST = 100.0  # how far machines differ over the standard error: such directions are free
+_CONTRADICTED = 1e-4  # p-value below which rows contradict that directions are as drawn
 _PATIENCE = 150  # evaluations after which a search may be running away; twice as many if near
 _REFITS = 5  # largest number of fits with estimated noise
 SETTLED = 1e-3  # relative change of an estimated standard deviation that is negligible
@@ -315,11 +316,35 @@ def _fit_holding(
             else:
                 fit = robust_fit(holding, loss, begin, near=near)
             if fit.converged or not may_hold_more:
-                return fit, held
+                return _fit_of_its_axes(mechanism, system, loss, fit, held)
         except ObservabilityError:
             if not may_hold_more:
                 raise
         fewest = held.observable.n_free - held.unknowns.n_free + 1
+
+
+def _fit_of_its_axes(
+    mechanism: Mechanism, system: System, loss: Loss | None, fit: Fit, held: HeldUnknowns
+) -> tuple[Fit, HeldUnknowns]:
+    """Return a fit with fewer directions held, if the rows contradict the others; and what is held.
+
+    Axes that are parallel as drawn leave directions open that the machine's axes determine.
+    """
+    if not (fit.converged and held.groups):
+        return fit, held
+    unknowns, state = system.unknowns, fit.last.state
+    values = np.concatenate((state.parameters, unknowns.start[len(state.parameters) :]))
+    problem = replace(system.problem, first=state)
+    ended = replace(system, problem=problem, unknowns=replace(unknowns, start=values))
+    fewer = hold_unobservable(mechanism, ended, fit.last, None, held.fewest)
+    if (count := fewer.unknowns.n_free - held.unknowns.n_free) <= 0:
+        return fit, held
+    freed = replace(system, unknowns=fewer.unknowns, max_evaluations=_PATIENCE)
+    refit = robust_fit(freed, loss, fit.last, near=True)
+    freedoms, least = max(refit.degrees_of_freedom, 1), float(np.finfo(float).tiny)
+    gain = max(fit.chi2 - refit.chi2, 0.0) / max(refit.chi2, least) * freedoms / count
+    contradicted = fdtrc(count, freedoms, gain) < _CONTRADICTED
+    return (refit, fewer) if refit.converged and contradicted else (fit, held)
 
 
 def _fit_unless_astray(
