@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 263,
     "architectures": 616,
-    "calibration": 6_938,
+    "calibration": 6_933,
     "cli": 2_699,
     "design": 2_558,
     "estimation": 4_589,

@@ -178,10 +178,11 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
     """
     calibration, rows = result.calibration, np.arange(len(result.poses))
     data = replace(calibration.measurements, influences=_influences_again(calibration, machine))
+    fitted = replace(calibration, mechanism=result.identified)  # whose legs have the same sizes
     saved = replace(calibration, mechanism=machine, measurements=data)
     identified = np.concatenate([leg.identified for leg in result.legs])
     twists: list[list[Array]] = []
-    for fit, parameters in ((calibration, identified), (saved, machine.parameters.values)):
+    for fit, parameters in ((fitted, identified), (saved, machine.parameters.values)):
         block = fit.leg_block(range(len(result.legs)), rows, fit.used)
         missing = block.evaluate(State(parameters, machine.platform.matrices(result.poses)))
         undone = (
@@ -189,13 +190,8 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
             for leg in block.leg_rows
         )
         twists.append([twist[leg.rows] for twist, leg in zip(undone, result.legs, strict=True)])
-    legs = zip(calibration.mechanism.legs, machine.legs, strict=True)
-    resized = [abs(again.size / drawn.size - 1.0) for drawn, again in legs]  # it weighs turns
-    off = [
-        (np.abs(a - b) - change * np.abs(a)).max(initial=0.0)
-        for a, b, change in zip(*twists, resized, strict=True)
-    ]
-    ratio = np.max(off) / max(1.0, machine.size)
+    off = np.concatenate([(a - b).ravel() for a, b in zip(*twists, strict=True)])
+    ratio = np.abs(off).max(initial=0.0) / max(1.0, machine.size)
     if not ratio <= REPRODUCED:  # NaN neither
         raise PincalError(
             "the calibrated mechanism, read back, does not give the residuals of its calibration "

@@ -335,9 +335,8 @@ def check_contacts(observation: Observation, data: Measurements) -> None:
             )
 
 
-_MISTAKEN = {25.4: "inches", 10.0: "centimetres", 1e3: "metres"} | dict.fromkeys(
-    (1 / 25.4, 0.1, 1e-3), "millimetres"
-)
+_MISTAKEN = {25.4: "inches", 10.0: "centimetres", 1e3: "metres"}
+_MISTAKEN |= dict.fromkeys((1 / 25.4, 0.1, 1e-3), "millimetres")
 """Real unit of lengths that are too short by a factor: they were taken for mm, or are in mm."""
 _ABOUT = 0.1  # relative tolerance on that factor
 
