@@ -100,7 +100,7 @@ def test_what_is_held_counts_where_it_moves_the_platform(
     [("3RRR", None), ("6UPS", None), ("4cable", None), ("6UPS", pincal.Setup(unknown_frame=True))],
 )
 def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | None) -> None:
-    """Expected error, error map and limits of a calibration: from this function alone."""
+    """Expected error and limits of a calibration: from this function alone."""
     mechanism = pincal.load_mechanism(name)
     truth = pincal.disturb(mechanism, 1e-3, seed=1)
     poses = pincal.sample_workspace(mechanism, 90, seed=0)

@@ -42,27 +42,6 @@ def test_residuals_in_standard_deviations(result: pincal.CalibrationResult) -> N
     assert axes.get_xlabel() == "data row"
 
 
-def test_expected_errors_over_the_workspace(
-    result: pincal.CalibrationResult, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A pixel's value is the expected error there; without a workspace it is refused."""
-    axes = result.plot.error_map()
-    image = axes.images[0]
-    values, (left, right, low, high) = image.get_array(), image.get_extent()
-    place = tuple(np.argwhere(np.isfinite(values.filled(np.nan)))[40])
-    x = left + (right - left) * (place[1] + 0.5) / values.shape[1]
-    y = low + (high - low) * (place[0] + 0.5) / values.shape[0]
-    expected = result.expected_error(np.array([[x, y]]))
-    assert values[place] == pytest.approx(1e3 * expected.position, rel=1e-6)
-
-    def fail(*_: object) -> None:
-        raise pincal.WorkspaceError("no workspace")
-
-    monkeypatch.setattr("pincal.show.misses.sample_configurations", fail)
-    with pytest.raises(pincal.WorkspaceError, match="no workspace"):
-        result.plot.error_map()
-
-
 def test_axes_that_are_given_are_drawn_into(result: pincal.CalibrationResult) -> None:
     """And returned; names that matplotlib would hide stay visible."""
     hidden = tuple(replace(leg, name=f"_{leg.name}") for leg in result.legs)
@@ -118,12 +97,6 @@ def test_every_kind_of_result_plots(case: str, tmp_path: Path) -> None:
     white = np.concatenate([line.get_ydata() for line in shown.lines])
     assert 0.7 < np.sqrt(np.nanmean(white**2)) < 1.3
     assert np.isfinite(white).mean() > 0.9
-    if mechanism.by_readings:
-        with pytest.raises(pincal.WorkspaceError, match="follow from readings"):
-            result.plot.error_map()
-    else:
-        values = result.plot.error_map().images[0].get_array().compressed()
-        assert ((values > 0.0) & np.isfinite(values)).any()
     result.save(tmp_path / "result")
     lines = (tmp_path / "result/residuals.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "leg,row,quantity,unit,residual,sigma"

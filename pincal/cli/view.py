@@ -182,8 +182,8 @@ def plot(
 ) -> None:
     """Draw a figure of a calibration.
 
-    It is 170 mm wide, with letters of 7 to 9 points. KIND is residuals (by row), images (residuals
-    in camera images) or error_map (expected error over x and y).
+    It is 170 mm wide, with letters of 7 to 9 points. KIND is residuals (by row) or images
+    (residuals in camera images).
     """
     calibrated = pincal.load_result(result)
     refuse_existing(picture_path(output), force=force)

@@ -13,11 +13,11 @@ from matplotlib.transforms import Affine2D
 
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
-from pincal.show.misses import camera_misses, level_poses, noisy_residuals
+from pincal.show.misses import camera_misses, noisy_residuals
 from pincal.show.picture import shortened
 from pincal.show.style import EVERY, GROUND, INK, OUTLIER, leg_colour
 from pincal.show.view.scene import rounded_down
-from pincal.words.numbers import SMALL, STORED, amount, per_si
+from pincal.words.numbers import amount
 from pincal.words.wording import clean
 
 _NORMAL = 1.96  # standard deviations within which 95 % of normal numbers lie
@@ -116,41 +116,6 @@ class Plots:
         ax.set(xlim=(-0.2 * gap, right + 0.2 * gap), ylim=(low + 0.5 * gap, -gap), aspect="equal")
         ax.set_axis_off()
         _name_undrawn(ax, self.result)
-        return ax
-
-    def error_map(self, ax: Axes | None = None) -> Axes:
-        """Draw the expected error of the platform's position after the calibration.
-
-        The map shows the standard error over the workspace, for machines in space at half its
-        height; the other coordinates are as at home. Blank: not in the workspace.
-
-        Raises:
-            MeasurementError: residuals are too large to state an accuracy, or the measurements do
-                not determine the position at any pose.
-            WorkspaceError: no workspace was found with the default margins.
-        """
-        ax = ax or _axes(5.0, 4.2)
-        if not self.result.explained:
-            raise MeasurementError(
-                "no map: residuals are far larger than the noise, so no accuracy can be stated"
-            )
-        x, y, height, poses, inside = level_poses(self.result)
-        errors = np.full(inside.shape, np.nan)
-        errors[inside] = self.result.expected_error(poses[inside]).sizes[:, 0]
-        errors[np.isinf(errors)] = np.nan
-        if np.isnan(errors).all():
-            raise MeasurementError("no map: the platform's position is not determined anywhere")
-        errors *= per_si("m")
-        largest = float(np.nanquantile(errors, 0.95))  # a few cells at the edge do not hide it
-        x, y = per_si("m", STORED) * x, per_si("m", STORED) * y
-        half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
-        extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
-        image = ax.imshow(errors, origin="lower", extent=extent, cmap="cividis", vmax=largest)
-        label = f"expected error of position [{SMALL['m']}]"
-        ax.figure.colorbar(image, ax=ax, label=label, extend="max")
-        ax.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
-        if height is not None:
-            ax.set_title(f"z = {amount(height, 'm', 3, STORED)}".replace("-", "−"))
         return ax
 
 

@@ -28,13 +28,11 @@ from pincal.instruments.lens import Lens
 from pincal.kinematics.configurations import as_plan, legs_at
 from pincal.kinematics.forward import forward
 from pincal.model import Plan
-from pincal.types import Array, Mask
+from pincal.types import Array
 from pincal.words.numbers import percent
-from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
 _FEW_SAMPLES = 300  # sampled poses of the workspace
-_ACROSS = {2: 45, 3: 25}  # cells along a side of a map, by the dimension of space
 _MEASURED = "measured poses"
 _MENTIONED = 0.01  # share of the workspace outside the measured region that is not mentioned
 
@@ -233,31 +231,3 @@ def effects(result: CalibrationResult) -> tuple[dict[str, float], str]:
         for p, factor in zip(parameters, per_unit.tolist(), strict=True)
         if 0.0 < p.std < np.inf
     }, units[0]
-
-
-def level_poses(result: CalibrationResult) -> tuple[Array, Array, float | None, Array, Mask]:
-    """Return a grid of poses for maps, with rows of equal y.
-
-    These are x and y, each (n,), [m]; z at the middle of the workspace, None in a plane; the poses,
-    (n, n, dof), else as at home; and a mask, (n, n), of those in the workspace.
-
-    Raises:
-        WorkspaceError: no workspace was found, or poses do not fill a plane.
-    """
-    nominal, platform = result.nominal, result.nominal.platform
-    if nominal.by_readings:
-        raise WorkspaceError("no map: poses follow from readings, and do not fill a plane")
-    if platform.coordinates[:2] != ("x", "y"):
-        raise WorkspaceError("no map: the platform does not move in x and y")
-    samples = sample_configurations(nominal, SAMPLES).poses
-    count, height = _ACROSS[platform.space], None
-    x, y = np.linspace(samples.min(axis=0)[:2], samples.max(axis=0)[:2], count, axis=1)
-    poses = np.tile(platform.home, (count, count, 1))
-    poses[..., 0], poses[..., 1] = x, y[:, None]
-    if platform.coordinates[2:3] == ("z",):
-        height = float(np.median(samples[:, 2]))
-        poses[..., 2] = height
-    inside = in_workspace(nominal, poses.reshape(-1, platform.dof)).reshape(count, count)
-    if not inside.any():
-        raise WorkspaceError("no map: no workspace was found with the default margins")
-    return x, y, height, poses, inside

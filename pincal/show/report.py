@@ -18,7 +18,7 @@ from markupsafe import Markup
 
 from pincal import __version__
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import FileError, MeasurementError, WorkspaceError
+from pincal.errors import FileError
 from pincal.files.measurements import read_poses
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
@@ -189,19 +189,15 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             cameras,
             tables.outliers_table(result) if result.outliers else None,
         ),
-        ("platform", "Error of the platform", _chart(result, "error_map")),
         reproduction,
     ]
 
 
-def _chart(result: CalibrationResult, name: str) -> str:
-    """Return a chart with its docstring as the caption, or the reason why there is none."""
+def _chart(result: CalibrationResult, name: str) -> Markup:
+    """Return a chart with its docstring as the caption."""
     draw, height = getattr(result.plot, name), 3.4 if name == "images" else 4.2  # [inch]
     text, _, _ = str(getdoc(draw)).partition("\n\nRaises:")
-    try:
-        return page_figure(name, draw, capital(" ".join(text.split()[1:])), height)
-    except (MeasurementError, WorkspaceError) as error:
-        return f"{capital(str(error))}."
+    return page_figure(name, draw, capital(" ".join(text.split()[1:])), height)
 
 
 def _poses(result: CalibrationResult) -> Markup | None:
