@@ -309,7 +309,7 @@ def test_one_sound_file(which: str, request: pytest.FixtureRequest) -> None:
     assert all(link.startswith(("#", "data:image/svg+xml;base64,")) for link in links)
     assert {link[1:] for link in links if link[0] == "#"} <= set(ids)
     figures = page.xpath("//figure")
-    assert len(figures) >= 3
+    assert len(figures) >= 2
     for one in figures:
         (image,) = one.iter("img")
         assert len(image.get("alt")) > 20
@@ -500,7 +500,7 @@ def test_unknown_frames(cables: Report) -> None:
 
 
 def test_without_a_workspace(planar: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Means are then over the measured poses, and there is no map; the report says so."""
+    """Means are then over the measured poses; the report says so."""
     result, _, _ = planar
 
     def fail(*_: object) -> None:
@@ -508,9 +508,8 @@ def test_without_a_workspace(planar: Any, monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr("pincal.show.misses.sample_configurations", fail)
     report = result.report()
-    page = page_of(report)
-    assert "over measured poses" in page.get_element_by_id("answers").text_content()
-    assert "No workspace was found" in page.get_element_by_id("platform").text_content()
+    text = page_of(report).get_element_by_id("answers").text_content()
+    assert "over measured poses" in text
 
 
 def test_errors_where_poses_are_out_of_reach(planar: Any) -> None:
