@@ -31,7 +31,6 @@ DONE_BY = {
     "MonteCarlo.__str__": "pincal.show.many.montecarlo_text",
     "Plan.from_csv": "pincal.files.measurements.read_poses",
     "Plan.to_csv": "pincal.files.columns.write_plan",
-    "Plan.to_dataframe": "pincal.files.columns.dataframe_of",
     "Selection.__str__": "pincal.show.tables.selection_text",
     "Setup.from_yaml": "pincal.instruments.setup_file.read_setup",
 }

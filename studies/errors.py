@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,19 +245,18 @@ def _file(folder: str, side: str) -> Path:
 
 def arm(side: str) -> pincal.Mechanism:
     """Return the arm of the nominal table, with something at its end that weighs."""
-    import pandas as pd
-
-    heads = ["a [m]", "d [m]", "alpha [deg]", "theta [deg]"]
     (a, d, alpha, theta), *rest = TABLE
     rows = [(a, d, alpha if side == "left" else -alpha, theta), *rest]
-    made = pincal.new_mechanism("arm", dh=pd.DataFrame(rows, columns=heads))
+    lines = ["a [m],d [m],alpha [deg],theta [deg]", *(",".join(map(repr, row)) for row in rows)]
+    with TemporaryDirectory() as folder:
+        table = Path(folder, "dh.csv")
+        table.write_text("\n".join(lines), encoding="utf-8")
+        made = pincal.new_mechanism("arm", dh=table)
     return replace(made, load=pincal.Load(10.0, (0.0, 0.0, 0.1)))
 
 
 def arms(study: Study, files: dict[str, Path]) -> None:
     """Compare models of two real arms that a laser tracker measured."""
-    import pandas as pd
-
     study.say(
         """Two arms of seven joints (Motoman), a reflector seen by a laser tracker, its place and
         the arm's unknown; public measurements of ctu-vras/multirobot-calibration. They are read
@@ -264,19 +264,18 @@ def arms(study: Study, files: dict[str, Path]) -> None:
         its fit has not seen? Masses of links are not known: gravity is that of 10 kg at the
         flange, as a shape."""
     )
-    setup = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(REFLECTOR)})
+    free = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(REFLECTOR)})
     for side, path in files.items():
         study.progress(f"models of the {side} arm")
-        table = pd.read_csv(path)
-        joints = [name for name in table.columns if name.startswith("q_")]
-        renamed = {name: f"joint_{i + 1} [rad]" for i, name in enumerate(joints)}
-        table = table.rename(columns=renamed)[[*renamed.values(), "x [m]", "y [m]", "z [m]"]]
-        answer = pincal.explain(arm(side), table, noise=SEEN, setup=setup, rough=True)
+        heads, *rows = path.read_text(encoding="utf-8").splitlines()
+        joints = [head.split()[0] for head in heads.split(",") if head.startswith("q_")]
+        setup = replace(free, headers={name: f"joint_{i + 1}" for i, name in enumerate(joints)})
+        answer = pincal.explain(arm(side), path, noise=SEEN, setup=setup, rough=True)
         models = answer.models
         first = answer.candidates[:3]
         study.table(
             f"motoman_{side}",
-            f"The {side} arm, {len(table)} rows: models on rows held out, five folds; ± is against "
+            f"The {side} arm, {len(rows)} rows: models on rows held out, five folds; ± is against "
             "the best, in standard deviations of 50 µm.",
             {
                 "model": [one.name if i < 2 else f"+ {one.name}" for i, one in enumerate(models)],
@@ -290,7 +289,7 @@ def arms(study: Study, files: dict[str, Path]) -> None:
         named = "; ".join(f"{c.reading} {c.kind} ({100 * c.share:.0f} % of χ²)" for c in first)
         gravity = pincal.explain(
             arm(side),
-            table,
+            path,
             noise=SEEN,
             setup=setup,
             rough=True,

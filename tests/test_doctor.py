@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done, run
+from frames import frame_of
 from marks import slow_or_fuzz, some_slow
 from measured import machine, seen_from_elsewhere
 from numpy.typing import NDArray
@@ -157,7 +158,7 @@ def test_one_gross_row_is_left_out(kind: str, frame: tuple[str, ...], tmp_path: 
 def test_further_columns_of_numbers_are_copied_to_the_mended_file(tmp_path: Path) -> None:
     """A temperature stays in its rows, so that terms may follow it."""
     mechanism, _, data = machine("3RRR", 24, NOISE)
-    frame = factors(data, 0, -1.0).to_dataframe(mechanism)
+    frame = frame_of(factors(data, 0, -1.0), mechanism)
     frame.insert(0, "temperature [C]", np.arange(24.0))
     frame.to_csv(tmp_path / "m.csv", index=False)
     done("doctor", "3RRR", tmp_path / "m.csv", *GIVEN, "-o", tmp_path / "mended.csv")
@@ -170,7 +171,7 @@ def test_further_columns_of_numbers_are_copied_to_the_mended_file(tmp_path: Path
 def test_counts_of_another_scale_are_mended(tmp_path: Path) -> None:
     """Ten times the counts a turn: the mended file has the readings themselves."""
     mechanism, _, data = machine("3RRR", 24, NOISE)
-    frame = data.to_dataframe(mechanism)
+    frame = frame_of(data, mechanism)
     for name in mechanism.reading_names:
         counts = frame.pop(f"{name} [rad]") * 409600 / (2 * np.pi)
         frame[f"{name} [counts]"] = counts.round().astype(int)
@@ -193,7 +194,7 @@ def test_exchanged_columns_of_the_orientation_are_mended_as_they_were_written(
 ) -> None:
     """Yaw below roll: both are named, and the mended file has Z-Y-X angles too."""
     mechanism, _, data = machine("6UPS", 24, NOISE)
-    frame = data.to_dataframe(mechanism, orientation="zyx")
+    frame = frame_of(data, mechanism, orientation="zyx")
     names = {"yaw [rad]": "roll [rad]", "roll [rad]": "yaw [rad]"}
     frame.rename(columns=names).to_csv(tmp_path / "m.csv", index=False)
     outcome = done("doctor", "6UPS", tmp_path / "m.csv", *GIVEN, "-o", tmp_path / "mended.csv")

@@ -73,7 +73,7 @@ def test_a_result_keeps_labels(result: pincal.CalibrationResult, tmp_path: Path)
 
 
 def test_labels_are_shown(result: pincal.CalibrationResult) -> None:
-    """In tables, on pages, in print, in DataFrames."""
+    """In tables, on pages, in print."""
     for text in (
         str(parameters_table(result)),
         str(nominal_table(OWN)),
@@ -84,7 +84,6 @@ def test_labels_are_shown(result: pincal.CalibrationResult) -> None:
     ):
         assert "short crank" in text
         assert "of nothing" not in text
-    assert result.to_dataframe().loc["leg_1.l", "label"] == "crank"
 
 
 def test_commands_show_labels(tmp_path: Path) -> None:

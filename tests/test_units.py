@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done, run
+from frames import frame_of
 from measured import machine
 
 import pincal
@@ -42,7 +43,7 @@ def encoders(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def counted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A CSV whose first two readings are counts of an encoder of 4096 a turn."""
     mechanism, _, data = machine("3RRR", 24, NOISE)
-    frame = data.to_dataframe(mechanism)
+    frame = frame_of(data, mechanism)
     for leg in ("leg_1", "leg_2"):
         frame[f"{leg} [counts]"] = frame.pop(f"{leg} [rad]") * COUNTS
     path = tmp_path_factory.mktemp("counts") / "m.csv"

@@ -19,14 +19,14 @@ import pincal
 
 #: Names that no page of this site has: other packages', type variables, and aliases of arrays.
 FOREIGN = [
-    (r"py:.*", r"(np|numpy|scipy|typing|collections|pathlib|matplotlib|pandas|os|types)\..*"),
+    (r"py:.*", r"(np|numpy|scipy|typing|collections|pathlib|matplotlib|os|types)\..*"),
     (
         r"py:.*",
         r"(Array|ArrayLike|Axes|Figure|Path|NDArray|Any|Callable|Iterable|Iterator|Literal)",
     ),
     (r"py:.*", r"pincal(\.[a-z_]+)+\.[A-Z]\w+"),  # inner types that calls neither take nor return
     (r"py:.*", r"(Calibration|Outlier|External|Plots|Report)"),
-    (r"py:.*", r"(Mapping|Sequence|Self|Generator|optional|array|bool|int|float|str|DataFrame)"),
+    (r"py:.*", r"(Mapping|Sequence|Self|Generator|optional|array|bool|int|float|str)"),
 ]
 _BARE = re.compile(r"(``.*?``)|\|")
 

@@ -21,7 +21,7 @@ from pincal.architectures.architecture import Architecture, Values, angle, lengt
 from pincal.architectures.cables import CABLE_ROBOTS
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.files.table import is_dataframe, read_table
+from pincal.files.table import read_table
 from pincal.formats.arm import arm
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
 from pincal.model import Joint, Mechanism, Placement, placement_of
@@ -158,7 +158,7 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
     A row of the standard convention is Rz(θ) Tz(d) Tx(a) Rx(α); its joint turns about z first. A
     row of the modified convention (Craig) is Rx(α) Tx(a) Rz(θ) Tz(d); its joint turns with Rz(θ).
 
-    The table, a CSV file or pandas DataFrame, has revolute joints only, with the columns
+    The table, a CSV file, has revolute joints only, with the columns
     ``a [mm]``, ``alpha [deg]``, ``d [mm]``, ``theta [deg]`` (at zero reading), and optionally
     the limits ``lower [deg]`` and ``upper [deg]``.
     """
@@ -183,7 +183,7 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
 
 
 def _arm(d: Values) -> Mechanism:
-    if not is_dataframe(d["dh"]) and not d["dh"]:
+    if not d["dh"]:
         raise MechanismError(
             "an arm needs a Denavit-Hartenberg table (dh); to read an arm from a URDF, use "
             "'pincal import --tip LINK' or Mechanism.from_urdf"

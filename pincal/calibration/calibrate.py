@@ -56,7 +56,7 @@ def calibrate(
 
     Args:
         mechanism: The nominal mechanism, where the search starts; or its name or folder.
-        measurements: The measurements; or a CSV file or a DataFrame of them.
+        measurements: The measurements, or a CSV file of them.
         options: How to calibrate.
         **single_options: Options by name, such as ``noise=`` or ``setup=``: see ``Options``.
 

@@ -15,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import lazy_loader
 import numpy as np
 from joblib import Parallel, cpu_count, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
@@ -28,7 +29,7 @@ from pincal.calibration.promise import apart
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.design.simulate import ERROR, disturb, simulate
 from pincal.errors import FileError, MeasurementError, PincalError
-from pincal.files.journal import FAILURE, Columns, Row, RowFile, extra
+from pincal.files.journal import FAILURE, Columns, Row, RowFile
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.model import Mechanism, Noise, Plan, means
@@ -37,6 +38,7 @@ from pincal.option import option
 from pincal.types import Array
 from pincal.workspace.sampling import sample_configurations
 
+distributed: Any = lazy_loader.load("distributed")
 Item = tuple[Any, ...]
 _SHARES, _LARGEST = 64, 50  # least number of shares of the work, largest number of rows in one
 _ROUNDING = 1e-6  # relative difference of numbers on another processor
@@ -63,8 +65,13 @@ class Workers:
             yield Parallel(min(self.workers or cpu_count(), cpu_count()), return_as="generator")
             return
         try:
-            client = extra("distributed").Client(self.scheduler, timeout=10, set_as_default=False)
+            client = distributed.Client(self.scheduler, timeout=10, set_as_default=False)
             client.wait_for_workers(1, timeout=30)
+        except ModuleNotFoundError as error:
+            raise PincalError(
+                "--scheduler needs Dask, which is not installed: python -m pip install "
+                "'pincal[cluster]'"
+            ) from error
         except (OSError, ValueError) as error:
             raise PincalError(
                 f"no Dask scheduler with workers answers at {self.scheduler}: start 'dask "
@@ -289,7 +296,7 @@ def montecarlo(
         mechanism: The nominal mechanism, its name or folder.
         plan: Poses at which each machine is measured.
         machines: Number of machines.
-        path: Table of the machines, ``*.csv`` or ``*.parquet``; its rows are not made again.
+        path: CSV table of the machines; its rows are not made again.
         workers: Number of processes; by default one for each core.
         scheduler: Address of a Dask scheduler, whose workers replace the processes.
         **study: ``options``, whose tolerance and priors say how far machines differ, ``noise``,

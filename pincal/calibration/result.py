@@ -299,14 +299,6 @@ class CalibrationResult:
             ObservabilityError: the remaining rows do not determine the parameters.
         """
 
-    def to_dataframe(self) -> Any:
-        """Return the parameters as a pandas DataFrame, one row each, ids as its index."""
-        import pandas as pd  # an extra
-
-        names = ("unit", "nominal", "identified", "change", "std", "low", "high", "given", "label")
-        rows = [{name: getattr(p, name) for name in names} for p in self.parameters]
-        return pd.DataFrame(rows, index=pd.Index(self.parameters.ids, name="parameter"))
-
     @attached
     def report(self, **origin: Any) -> Report:
         """Return the report as a page, with ``html()`` and ``save(path)``; notebooks show it.

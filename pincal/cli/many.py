@@ -27,9 +27,7 @@ from pincal.option import Option, option
 from pincal.show.many import HistoryPage, batch_lines, montecarlo_lines, row_columns, row_of_result
 from pincal.words.numbers import amount
 
-_Rows = Annotated[
-    Path, output_option("TABLE", "Table with a row for each machine, .csv or .parquet.")
-]
+_Rows = Annotated[Path, output_option("TABLE", "CSV table with a row for each machine.")]
 _WORKSPACE = Option(
     "Poses over which errors are stated [default: 200 in the workspace].", metavar="CSV"
 )

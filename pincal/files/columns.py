@@ -130,18 +130,6 @@ def write_plan(
     write_table(path, columns_of(mechanism, plan, **ways), force=force)
 
 
-def dataframe_of(plan: Plan, mechanism: GivenMechanism, **ways: Any) -> Any:
-    """Return a plan, or measurements, as a pandas DataFrame: see ``Plan.to_dataframe``."""
-    try:
-        import pandas
-    except ImportError as error:
-        raise MeasurementError(
-            "a DataFrame needs the package pandas: python -m pip install 'pincal[pandas]'"
-        ) from error
-    columns = columns_of(mechanism, plan, **ways)
-    return pandas.DataFrame({name: list(values) for name, values in columns.items()})
-
-
 def reason_column(reasons: Sequence[str]) -> Columns:
     """Return a column with the reasons of empty rows; no column if no row is empty."""
     return {"reason": tuple(reasons)} if any(reasons) else {}

@@ -11,14 +11,13 @@ import logging
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.errors import FileError, MeasurementError, PincalError, explaining
+from pincal.errors import FileError, MeasurementError, explaining
 
 Row = dict[str, Any]
 Columns = dict[str, NDArray[Any]]
@@ -30,10 +29,12 @@ _log = logging.getLogger(__name__)
 
 
 class RowFile:
-    """A table of numbers and texts: a CSV file, a folder ``*.parquet``, or in memory (None)."""
+    """A table of numbers and texts: a CSV file, or in memory (None)."""
 
     def __init__(self, path: Path | None, columns: Sequence[str]) -> None:
         self.path, self.columns, self._lines = path, list(columns), list[Sequence[Any]]()
+        if path and path.suffix.lower() == ".parquet":
+            raise FileError(f"{path}: tables are CSV; name {path.with_suffix('.csv')}")
 
     def read(self) -> Columns:
         """Return all columns, each of shape (N,).
@@ -41,16 +42,8 @@ class RowFile:
         Raises:
             FileError: the file has other columns, or cannot be read.
         """
-        lines = [*self._lines]
         try:
-            if self.path and self.path.suffix == ".parquet":
-                for part in sorted(self.path.glob("part-*")):
-                    table = extra("pyarrow.parquet").read_table(part).to_pydict()
-                    if list(table) != self.columns:
-                        raise ValueError(f"{part} has other columns")
-                    lines += zip(*table.values(), strict=True)
-            elif self.path:
-                lines += read_lines(self.path, self.columns)
+            lines = read_lines(self.path, self.columns) if self.path else self._lines
             cells = np.array(lines, dtype=object).reshape(-1, len(self.columns)).T
             columns = dict(zip(self.columns, cells, strict=True))
             return {n: v if n in TEXTS else v.astype(float) for n, v in columns.items()}
@@ -58,7 +51,7 @@ class RowFile:
             raise FileError(f"{error}; move {self.path} away, or name another") from error
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Add rows; a Parquet file is written whole or not at all.
+        """Add rows.
 
         Raises:
             FileError: the rows cannot be written.
@@ -68,31 +61,8 @@ class RowFile:
         with explaining(f"{self.path} cannot be written"):
             if self.path is None:
                 self._lines += lines
-            elif self.path.suffix != ".parquet":
-                append_lines(self.path, self.columns, lines)
             else:
-                self.path.mkdir(exist_ok=True)
-                part = self.path / f"part-{len(list(self.path.glob('part-*'))):06d}.parquet"
-                columns = {name: [row[i] for row in lines] for i, name in enumerate(self.columns)}
-                if rows:
-                    new, table = self.path / "new.parquet", extra("pyarrow").table(columns)
-                    extra("pyarrow.parquet").write_table(table, new)
-                    new.replace(part)
-
-
-def extra(name: str) -> Any:
-    """Import and return a package of the extra ``cluster``.
-
-    Raises:
-        PincalError: the package is not installed.
-    """
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise PincalError(
-            f"{name} is not installed: python -m pip install 'pincal[cluster]'; tables named *.csv "
-            "and work without --scheduler do not need it"
-        ) from error
+                append_lines(self.path, self.columns, lines)
 
 
 class Journal:

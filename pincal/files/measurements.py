@@ -1,6 +1,6 @@
 """Poses, readings and measurements of a mechanism, read from tables.
 
-Functions accept the object itself, or a file or DataFrame to read it from.
+Functions accept the object itself, or a file to read it from.
 """
 
 import logging
@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, located
 from pincal.files.columns import known_columns, reading_units, table_of, unknown_columns
 from pincal.files.further_tables import read_corners, related_columns, with_pairs
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.table import TextTable, is_dataframe, read_table, renamed
+from pincal.files.table import TextTable, read_table, renamed
 from pincal.files.text import plain_number
 from pincal.model import EVERY_LEG, TO, VERIFY, WAYS, Measurements, Mechanism, Noise, Plan, Setup
 from pincal.model.checks import array_of, listed, must_be
@@ -25,7 +25,6 @@ from pincal.words.numbers import amount
 
 _log = logging.getLogger(__name__)
 _TURNS = {name for names, _ in WAYS.values() for name in names}
-_MATTERS = 1.0  # shortening by a tilt, over the RMS distance of points from their plane, to correct
 
 
 def as_noise(noise: Noise | None) -> Noise:
@@ -49,7 +48,7 @@ def read_poses(
         return source
     if isinstance(source, RigidTransform):
         return Plan(platform.coordinates_of(source))
-    if not (isinstance(source, str | Path) or is_dataframe(source)):
+    if not isinstance(source, str | Path):
         kind = "poses, a plan or its file"
         return Plan(array_of(source, ("N", platform.dof), kind, MeasurementError))
     table, related = related_columns(read_table(source))
@@ -115,7 +114,7 @@ def read_measurements(
     _check_columns(table, mechanism, setup, further)
     poses = _poses(table, mechanism, partial=partial)
     if level and "z" in table:
-        poses = _levelled(table, setup, poses)
+        _check_level(table, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
     unknown = unknown_columns(table, known)
     extra, sigma_extra = _quantities(table, further, pixels, partial=partial or bool(named))
@@ -148,9 +147,8 @@ def _related(source: Any, setup: Setup, pairs: Any) -> tuple[TextTable, Setup, t
 
     These columns name the point that a row touches, or the other row of a distance.
     """
-    if not (is_dataframe(source) or isinstance(source, TextTable)):
-        expected = "Measurements, a CSV file or a DataFrame"
-        must_be(source, (str, Path), "measurements", MeasurementError, expected)
+    kinds, expected = (str, Path, TextTable), "Measurements or a CSV file"
+    must_be(source, kinds, "measurements", MeasurementError, expected)
     table = read_table(source) if pairs is None else with_pairs(source, pairs)
     table, related = related_columns(renamed(table, setup.headers))
     setup = setup.of_rows({name: table.text[name] for name, unit in related.items() if not unit})
@@ -224,49 +222,27 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
     return np.hstack((poses, turns))
 
 
-def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
-    """Return poses of a planar machine, (N, dof), after turning their plane into x-y.
+def _check_level(table: TextTable, poses: Array) -> None:
+    """Raise if positions of a planar machine lie in a plane that is tilted to x-y.
 
-    A tracker that is not level measures a tilted plane: x and y alone are too short across the
-    tilt, and no residual shows it. The plane is turned if the shortening is larger than noise.
+    A tracker that is not level measures such a plane: x and y alone are too short across the tilt,
+    and no residual shows it. A shortening that is less than the noise does not matter.
     """
     points = np.column_stack((poses[:, :2], table.numbers("z", "m", blank=True)))
-    known = np.isfinite(points).all(axis=1)
-    if known.sum() < 4:
-        return poses
-    middle = points[known].mean(axis=0)
-    _, s, axes = np.linalg.svd(points[known] - middle)
-    normal = axes[2] * (1.0 if axes[2, 2] >= 0.0 else -1.0)
-    across = float(s[2] / np.sqrt(known.sum()))
-    cosine = float(normal[2])
-    shortened = float(np.ptp((points[known] - middle) @ axes[0])) * (1.0 - cosine)
-    if not shortened > _MATTERS * across or s[1] < 10.0 * s[2]:  # a line lies in many planes
-        return poses
-    tilt = np.degrees(np.arccos(min(cosine, 1.0)))
-    tilted = (
-        f"{table.path}: positions lie in a plane that is tilted by {tilt:.2g}° to x-y (they miss "
-        f"it by {amount(across, 'm', 2)}): x and y alone are too short by up to "
-        f"{amount(shortened, 'm', 2)}"
-    )
-    fault, lacking = "", ~known & np.isfinite(poses[:, :2]).any(axis=1)
-    if not setup.unknown_frame:
-        fault = (
-            "Declare their frame unknown (--unknown-frame), so that they can be turned into x-y; "
-            "or give them in the base frame"
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 4:
+        return
+    points = points - points.mean(axis=0)
+    _, s, axes = np.linalg.svd(points, full_matrices=False)
+    across, cosine = s[2] / np.sqrt(len(points)), min(abs(axes[2, 2]), 1.0)
+    shortened = float(np.ptp(points @ axes[0])) * (1.0 - cosine)
+    if shortened > across and s[1] >= 10.0 * s[2]:  # a line lies in many planes
+        raise MeasurementError(
+            f"{table.path}: positions lie in a plane that is tilted by "
+            f"{np.degrees(np.arccos(cosine)):.2g}° to x-y (they miss it by "
+            f"{amount(across, 'm', 2)}): x and y alone are too short by up to "
+            f"{amount(shortened, 'm', 2)}. Turn the positions into x-y first"
         )
-    elif np.isfinite(poses[:, 2:]).any() or len(setup.targets) > 1 or setup.distances:
-        fault = (
-            "Orientations, further targets and distances cannot be turned with them: turn all of "
-            "them into x-y yourself, or leave them out"
-        )
-    elif lacking.any():
-        fault = f"{table.where(int(np.argmax(lacking)))}: no z; all positions need it"
-    if fault:
-        raise MeasurementError(f"{tilted}. {fault}")
-    _log.info("%s; they were turned into x-y", tilted)
-    R = Rotation.align_vectors((0.0, 0.0, 1.0), normal)[0]
-    turned = R.apply(points - middle) + middle
-    return np.column_stack((turned[:, :2], poses[:, 2:]))
 
 
 def _names(table: TextTable, column: str) -> tuple[str, ...] | None:

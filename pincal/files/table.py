@@ -9,7 +9,6 @@ import csv
 import io
 import logging
 import re
-import sys
 import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -57,7 +56,7 @@ class TextTable:
     text: dict[str, list[str]]
     """Cells by column."""
     lines: list[int]
-    """Line of the file in which each row ends, or row number of a sheet or DataFrame."""
+    """Line of the file in which each row ends, or row number of a sheet."""
     counted: str = "line"
     """Whether ``lines`` count each a ``"line"`` or a ``"row"``."""
     counts: Mapping[str, float | None] = field(default_factory=dict)
@@ -135,12 +134,6 @@ class TextTable:
         return values
 
 
-def is_dataframe(value: object) -> bool:
-    """Return whether an object is a pandas DataFrame, without importing pandas."""
-    pandas = sys.modules.get("pandas")
-    return pandas is not None and isinstance(value, pandas.DataFrame)
-
-
 def write_table(
     path: str | Path,
     columns: Mapping[str, Iterable[float] | Iterable[str]],
@@ -167,21 +160,14 @@ def cell_text(value: object) -> str:
     """Return the text of a value in a file; a missing value is an empty cell."""
     if isinstance(value, float):
         return "" if np.isnan(value) else Numeral(float(value))
-    missing = value is None or type(value).__name__ in ("NAType", "NaTType")
-    return "" if missing else str(value)
+    return "" if value is None else str(value)
 
 
 def read_table(source: Any) -> TextTable:
-    """Return the columns of a CSV or .xlsx file, or of a pandas DataFrame, as text."""
+    """Return the columns of a CSV or .xlsx file as text."""
     if isinstance(source, TextTable):
         return source
-    if is_dataframe(source):
-        columns = (source.iloc[:, index].tolist() for index in range(source.shape[1]))
-        rows = ([cell_text(value) for value in row] for row in zip(*columns, strict=True))
-        header = [str(name) for name in source.columns]
-        return _of_rows(Path("DataFrame"), enumerate(chain([header], rows)), "row", None)
-    kinds = "a CSV file or a DataFrame"
-    path = Path(must_be(source, (str, Path), "a table", MeasurementError, kinds))
+    path = Path(must_be(source, (str, Path), "a table", MeasurementError, "a CSV file"))
     suffix = path.suffix.lower()
     if suffix == ".xlsx":
         return _of_rows(path, _sheet_rows(path), "row", "")

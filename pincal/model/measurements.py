@@ -122,14 +122,14 @@ class Plan:
     @staticmethod
     @attached
     def from_csv(
-        source: str | Path | Any, mechanism: Mechanism | str | Path, *, partial: bool = False
+        source: str | Path, mechanism: Mechanism | str | Path, *, partial: bool = False
     ) -> Plan:
         """Return the poses of a table, with its ``set`` column if there is one.
 
         Readings are read too if the mechanism's poses do not determine them.
 
         Args:
-            source: CSV file, or pandas DataFrame with the same columns.
+            source: CSV file.
             mechanism: The mechanism, or its name or folder.
             partial: Whether columns or cells of the pose may be missing; they are then NaN.
 
@@ -160,16 +160,6 @@ class Plan:
         Raises:
             FileError: the file exists and ``force`` is not set, or cannot be written.
         """
-
-    @attached
-    def to_dataframe(
-        self,
-        mechanism: Mechanism | str | Path,
-        *,
-        orientation: str = "tilt-torsion",
-        setup: Setup | None = None,
-    ) -> Any:
-        """Return a pandas DataFrame with the columns of a CSV file, units in brackets."""
 
     def __repr__(self) -> str:
         rows = f"{counted(len(self), 'row')}: {counted(self.poses.shape[1], 'coordinate')}"
@@ -262,12 +252,12 @@ class Measurements(Plan):
     @staticmethod
     @attached
     def from_csv(
-        source: str | Path | Any,
+        source: str | Path,
         mechanism: Mechanism | str | Path,
         setup: Setup | None = None,
         *,
         partial: bool = False,
-        pairs: str | Path | Any = None,
+        pairs: str | Path | None = None,
     ) -> Measurements:
         """Return the measurements of a table: poses, readings, sets and standard deviations.
 
