@@ -101,6 +101,10 @@ def view(
         Path | None,
         output_option("FILE", "Page (.html) that opens anywhere; picture (.svg, .png, .pdf)."),
     ] = None,
+    meshes: Annotated[
+        Path | None,
+        typer.Option(metavar="URDF", help="URDF whose meshes are drawn as the arm's links."),
+    ] = None,
     no_open: Annotated[
         bool, typer.Option("--no-open", help="Print the address without opening a browser.")
     ] = False,
@@ -133,6 +137,8 @@ def view(
         page = pincal.view(**arguments)
         if result is not None:
             page = page.with_result(result)
+        if meshes is not None:
+            page = page.with_meshes(meshes)
         page.html()
     _say_unreached(page.scene)
     if output is not None:

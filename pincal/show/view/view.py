@@ -8,8 +8,10 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import cached_property
 from http import HTTPStatus
+from pathlib import Path
 from threading import Event, Thread
 from urllib.parse import parse_qsl, urlsplit
 from weakref import finalize
@@ -25,6 +27,7 @@ from pincal.kinematics.configurations import home_of
 from pincal.model import Plan
 from pincal.show.answers import warnings
 from pincal.show.report import Page
+from pincal.show.view.meshes import with_meshes
 from pincal.show.view.page import answer, page
 from pincal.show.view.scene import Scene, calibrated, scene
 from pincal.workspace.sampling import sample_configurations
@@ -43,6 +46,18 @@ class View(Page):
 
     def __init__(self, scene: Scene, notices: Sequence[str] = ()) -> None:
         self.scene, self._notices = scene, tuple(notices)
+
+    def with_meshes(self, urdf: str | Path) -> View:
+        """Return the view with meshes on an arm's links, from the URDF that it was read from.
+
+        Raises:
+            FileError: the URDF or a mesh cannot be read, or the URDF has other joints.
+            MechanismError: the URDF is not well formed.
+        """
+        scene, mechanism = self.scene, self.scene.mechanism
+        body = with_meshes(scene.body, mechanism, urdf)
+        magnified = scene.magnified and with_meshes(scene.magnified, mechanism, urdf)
+        return View(replace(scene, body=body, magnified=magnified), self._notices)
 
     def with_result(self, result: CalibrationResult) -> View:
         """Return the view with the results of a calibration of this mechanism.
