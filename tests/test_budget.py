@@ -16,7 +16,7 @@ LINES = {
     "": 262,
     "architectures": 616,
     "calibration": 6_932,
-    "cli": 2_691,
+    "cli": 2_697,
     "design": 2_558,
     "estimation": 4_589,
     "files": 3_313,
@@ -24,14 +24,14 @@ LINES = {
     "instruments": 1_548,
     "kinematics": 3_418,
     "model": 3_562,
-    "show": 3_984,
+    "show": 4_051,
     "symmetry": 1_306,
     "words": 956,
     "workspace": 1_492,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 174,
+    "files": 175,
     "page lines": 900,
     "largest folder": 16,
     "vague names": 0.01,

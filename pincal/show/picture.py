@@ -55,9 +55,7 @@ class Picture:
         legend.append(_dot(style.ACTIVE, "driven"))
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         axes.set_axis_off()
-        links = scene.body.skeletons()[0] @ V[:2].T
-        names = _Names(axes, links[np.isfinite(links).all(axis=(1, 2))])
-        _name_axes_and_legs(names, scene)
+        _name_axes_and_legs(axes, scene)
         longest = max(len(str(handle.get_label())) for handle in legend)
         below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
         columns = int(np.clip(_LINE / longest, 1, 3))
@@ -131,9 +129,12 @@ def picture(
 _WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # width of a picture, least and largest height, [inch]
 _LEGEND = 0.5  # height for the legend below, [inch]
 _LETTERS = 28  # most letters of a name
-_LEG_NAME, _LEG_DISTANCES = 8.0, (11.0, 18.0, 26.0, 34.0)  # size and distances of names, [point]
+_LETTERING: dict[str, Any] = {
+    "size": 7.5,
+    "zorder": 9,
+    "bbox": {"boxstyle": "square,pad=0.1", "color": style.PAPER[0], "alpha": 0.6},
+}
 _LINE = 75  # letters in a line of the legend
-_OVERLAP, _OUTSIDE = 300.0, 100.0  # cost of a name over another, or outside, in hidden points
 
 
 def _ghosts(axes: Axes, scene: Scene) -> list[Line2D]:
@@ -162,59 +163,22 @@ def shortened(name: str) -> str:
     return clean(name if len(name) <= _LETTERS else f"{name[: _LETTERS - 9]}…{name[-8:]}")
 
 
-class _Names:
-    """Writer of names into axes with fixed limits, each where it hides least."""
-
-    def __init__(self, axes: Axes, links: Array) -> None:
-        """Set the links that names should not hide: end points, shape (n, 2, 2), [m]."""
-        low, high = np.array((axes.get_xlim(), axes.get_ylim())).T
-        figure: Any = axes.get_figure(root=True)
-        paper = 72.0 * figure.get_size_inches() * axes.get_position().size
-        self.axes = axes
-        self._limits = low[1], high[1]
-        self.point = float(np.max((high - low) / paper))
-        """Length of a typographic point in the picture, [m]; the legend takes some room."""
-        self._boxes = np.zeros((0, 2, 2))
-        self._hidden = np.linspace(links[:, 0], links[:, 1], 40).reshape(-1, 2)
-
-    def half(self, text: str, size: float) -> Array:
-        """Return half the width and height of a name, shape (2,), [m]; ``size`` in points."""
-        return 0.5 * size * self.point * np.array((0.58 * (len(text) + 0.8), 1.4))
-
-    def write(self, text: str, places: Array, size: float, **style: Any) -> None:
-        """Write a name at the one of n places, shape (n, 2), [m], where it hides least."""
-        half = self.half(text, size)
-        low, high = places - half, places + half
-        inside = np.abs(self._hidden - places[:, None]) < half + 0.3 * half[1]  # links are thick
-        boxes = self._boxes
-        over = (low[:, None] < boxes[:, 1]) & (boxes[:, 0] < high[:, None])
-        cost = inside.all(axis=2).sum(axis=1) + _OVERLAP * over.all(axis=2).sum(axis=1)
-        bottom, top = self._limits  # names beside the axes are in the picture nevertheless
-        outside = (low[:, 1] < bottom) | (high[:, 1] > top)
-        best = int(np.argmin(cost + _OUTSIDE * outside + 0.4 * np.arange(len(places))))
-        room = 0.3 * size * self.point  # names that touch would read as one name
-        self._boxes = np.concatenate((boxes, [[low[best] - room, high[best] + room]]))
-        x, y = places[best].tolist()
-        self.axes.text(x, y, text, size=size, ha="center", va="center", zorder=9, **style)
-
-
-def _name_axes_and_legs(names: _Names, scene: Scene) -> None:
+def _name_axes_and_legs(axes: Axes, scene: Scene) -> None:
     """Name the base's axes beyond their ends, and legs beside their feet, outwards."""
     V = scene.axes[:2]
-    for letter, end in zip("xyz", scene.body.axis * V.T, strict=True):
-        size = float(np.linalg.norm(end))
-        if size > 0.3 * scene.body.axis:  # else the axis points towards the viewer
-            place = end * (1.0 + 4.5 * names.point / size)
-            names.write(letter, place[None], size=7, style="normal")
+    ends = scene.body.axis * V.T
     feet = np.array([leg.joints[0].placement.xyz for leg in scene.mechanism.legs]) @ V.T
+    named = [(letter, end, end, 7.0) for letter, end in zip("xyz", ends, strict=True)]
+    named = named[: scene.mechanism.platform.space]  # in the plane z points to the viewer
     for leg, foot in zip(scene.mechanism.legs, feet, strict=True):
-        outward = np.arctan2(*(foot - feet.mean(axis=0))[::-1])
-        turns = outward + np.radians([0.0, 30.0, -30.0, 65.0, -65.0, 100.0, -100.0])
-        directions = np.stack((np.cos(turns), np.sin(turns)), axis=1)
-        text, steps = shortened(leg.name), names.point * np.array(_LEG_DISTANCES)
-        reach = np.abs(directions) @ names.half(text, _LEG_NAME)
-        places = foot + (steps[:, None] + reach)[..., None] * directions
-        names.write(text, places.reshape(-1, 2), _LEG_NAME)
+        named.append((shortened(leg.name), foot, foot - feet.mean(axis=0), 14.0))
+    for text, place, outward, far in named:
+        right, up = far * outward / (np.linalg.norm(outward) or 1.0)
+        sides: dict[str, Any] = {
+            "ha": "left" if right > 0.5 * far else "right" if right < -0.5 * far else "center",
+            "va": "bottom" if up > 0.5 * far else "top" if up < -0.5 * far else "center",
+        }
+        axes.annotate(text, place, (right, up), textcoords="offset points", **sides, **_LETTERING)
 
 
 _DARK, _EDGE = 0.55, 0.5  # an outline's brightness over its shape's, and its width, [point]
