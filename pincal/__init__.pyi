@@ -22,7 +22,6 @@ from .errors import (
     WorkspaceError,
 )
 from .estimation.observability.identifiable import indices
-from .estimation.system import Loss
 from .files.mechanism_folders import load_mechanism
 from .instruments.camera import Camera, Markers
 from .instruments.lens import Lens
@@ -73,7 +72,6 @@ __all__ = [
     "Leg",
     "Lens",
     "Load",
-    "Loss",
     "Margins",
     "Markers",
     "MeasurementError",

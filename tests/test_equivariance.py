@@ -104,7 +104,7 @@ def random_case(seed: int) -> Case:
             sigma_readings=np.full(readings.shape, by * noisy),
         )
     options: dict[str, Any] = {"method": str(rng.choice(["all-legs", "all-legs", "per-leg"]))}
-    options["loss"] = str(rng.choice(["none", "none", "huber", "reject"]))
+    options["loss"] = str(rng.choice(["none", "none", "reject"]))
     if rng.uniform() < 0.3 and options["method"] == "all-legs":
         options["setup"] = Setup(unknown_frame=True)
     return Case(mechanism, data, options)

@@ -143,7 +143,7 @@ def test_heights_of_steps_are_those_of_the_second_row(tmp_path: Path) -> None:
 def test_wrong_pairs_are_named(tmp_path: Path) -> None:
     """A pair typed twice, of one row, of no row, in inches: refused, by its rows.
 
-    One that is 3 mm off is named by both of its rows, and left out by a robust loss. One of the
+    One that is 3 mm off is named by both of its rows, and left out by `--loss reject`. One of the
     only row to verify is named by the other row.
     """
     robot, _, points, readings = machine("linear_delta", 2)

@@ -1,4 +1,4 @@
-"""What people fill from outside: a loss, an instrument, a term of a sensor, a platform kind."""
+"""What people fill from outside: an instrument, a term of a sensor, a platform kind."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from differences import assert_derivative
-from measured import machine, put, validated
+from measured import validated
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 import pincal
-from pincal.calibration.result_files import read_result
 from pincal.estimation.observation import Observation
 from pincal.estimation.problem import LegBlock
 from pincal.estimation.unknowns import BlockRows, State
@@ -188,25 +186,6 @@ def test_instruments_that_are_wrong_are_refused() -> None:
         pincal.calibrate(robot, data, setup=setup)
     with pytest.raises(pincal.MeasurementError, match="no column 'range', which instrument"):
         pincal.calibrate(robot, replace(data, extra={}), setup=setup)
-
-
-def test_a_loss_of_ones_own_is_as_good_as_a_named_one(tmp_path: Path) -> None:
-    """With Huber's weights it gives Huber's result; it is saved by its name."""
-    noise = pincal.Noise(1e-4, 1e-4, 1e-5)
-    robot, _, data = machine("3RRR", 25, noise)
-    data = put(data, "poses", (3, 0), data.poses[3, 0] + 5e-3)
-    own = pincal.Loss("mine", lambda u: 1.0 / np.maximum(1.0, u), float(chi2.cdf(1.345**2, 1)))
-    mine, named = (pincal.calibrate(robot, data, noise=noise, loss=one) for one in (own, "huber"))
-    for a, b in zip(mine.parameters, named.parameters, strict=True):
-        assert a.identified == pytest.approx(b.identified, rel=1e-12)
-        assert a.std == pytest.approx(b.std, rel=1e-12)
-    assert mine.loss == "mine"
-    mine.save(tmp_path / "r")
-    assert read_result(tmp_path / "r")["loss"] == "mine"
-    loaded = pincal.load_result(tmp_path / "r")
-    assert loaded.loss == "mine"
-    with pytest.raises(pincal.MeasurementError, match="'mine' is code"):
-        loaded.options.loss.weigh(np.ones(1))  # type: ignore[union-attr]
 
 
 def _sine(psi: Array) -> Array:

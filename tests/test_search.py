@@ -15,7 +15,6 @@ from scipy.optimize import least_squares
 
 import pincal
 from pincal import Joint, Leg, Mechanism, Placement, Platform, Sensor
-from pincal.estimation.system import LOSSES, bent
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
@@ -261,13 +260,12 @@ GROSS = ("5R", "3RRR", "6UPS")
     slow_or_fuzz([(kind, 4) for kind in GROSS[:2]], [(kind, 20) for kind in GROSS]),
 )
 def test_gross_errors_do_not_break_the_search(kind: str, count: int) -> None:
-    """A fifth of the rows off by 10 mm to 3 m, losses in turn: all sets converge but one of 20."""
+    """A fifth of the rows off by 10 mm to 3 m: all sets converge but one of 20."""
     broken, refused, lost = [], [], []
     for seed in range(count):
         mechanism, data = spoiled(kind, seed)
-        loss = ("huber", "cauchy", "tukey", "reject")[seed % 4]
         try:
-            result = pincal.calibrate(mechanism, data, noise=NOISE, loss=loss, rough=True)  # type: ignore[arg-type]
+            result = pincal.calibrate(mechanism, data, noise=NOISE, loss="reject", rough=True)
         except pincal.PincalError as error:
             refused.append((seed, str(error)))
         except Exception as error:  # whatever else leaves the search is what this looks for
@@ -275,33 +273,8 @@ def test_gross_errors_do_not_break_the_search(kind: str, count: int) -> None:
         else:
             assert np.isfinite(result.reduced_chi2)
             if not result.converged:
-                lost.append((seed, loss, result.message))
+                lost.append((seed, result.message))
     print(f"{kind}: {len(refused)} refused, {len(lost)} not converged")
     print(*refused, *lost, sep="\n")
     assert not broken
     assert len(refused) + len(lost) <= count // 20, (refused, lost)
-
-
-@pytest.mark.parametrize("loss", ["huber", "cauchy"])
-def test_curvature_of_a_loss_is_its_own(loss: str) -> None:
-    """The Hessian of what a loss minimises, by central differences of its gradient."""
-    rng, own = np.random.default_rng(0), LOSSES[loss]
-    J, k = rng.standard_normal((3, 2)), np.array([3])
-    near, far = 0.4 * rng.standard_normal(3), 1.5 * rng.standard_normal(3)
-
-    def gradient(z: Array, r: Array) -> Array:
-        row = r + J @ z
-        return float(own.weights(np.array([row @ row]), k)[0]) * J.T @ row
-
-    for r in (near, far):
-        h = 1e-5
-        steps = h * np.eye(2)
-        hessian = np.array([(gradient(z, r) - gradient(-z, r)) / (2 * h) for z in steps])
-        weight, bend = (f(np.array([r @ r]), k) for f in (own.weights, own.bend))
-        root = np.sqrt(weight)
-        rows, value = bent(root[:, None, None] * J, root[:, None] * r, np.sqrt(bend))
-        least = 0.0101 * float(weight[0]) * np.linalg.norm(J, 2) ** 2  # curvature is kept above
-        np.testing.assert_allclose(
-            rows[0].T @ rows[0], hessian, rtol=1e-6, atol=least if bend[0] < 0.011 else 1e-7
-        )
-        np.testing.assert_allclose(rows[0].T @ value[0], gradient(np.zeros(2), r), rtol=1e-12)

@@ -13,8 +13,7 @@ GROUPS = {
     "Poses to measure": "select select_poses Selection select_configurations Plan forecast indices",
     "Measurements": "Measurements Noise Setup Target Distance Contact Tracker Systematic "
     "Camera Lens Markers Instrument",
-    "Calibration": "calibrate Options Loss CalibrationResult load_result explain "
-    "Explanation deploy",
+    "Calibration": "calibrate Options CalibrationResult load_result explain Explanation deploy",
     "Simulation": "disturb simulate accuracy montecarlo",
     "Pictures": "picture view",
     "Errors": "PincalError MechanismError MeasurementError ObservabilityError SymmetryError "

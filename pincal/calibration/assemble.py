@@ -186,11 +186,10 @@ def covariance_by_noise(fits: Fits) -> Array:
     if fits.latent:
         return fits.fits[0].covariance
     mechanism, count = fits.calibration.mechanism, len(fits.calibration.measurements)
-    by_pose = np.zeros((count, len(mechanism.parameters), mechanism.platform.dof + 1))
+    by_pose = np.zeros((count, len(mechanism.parameters), mechanism.platform.dof))
     for fit, places in zip(fits.fits, fits.places, strict=True):
         last = fit.problem.leg_block.n_readings
-        columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
-        by_pose[np.ix_(fit.rows, places)] = fit.influence[:, :, columns]
+        by_pose[np.ix_(fit.rows, places)] = fit.influence[:, :, last : last + by_pose.shape[2]]
     covariance = np.einsum("npd,nqd->pq", by_pose, by_pose, optimize=True)
     for fit, places in zip(fits.fits, fits.places, strict=True):
         covariance[np.ix_(places, places)] = fit.covariance
@@ -308,7 +307,7 @@ def _residual_groups(
         residuals, shares = redundancy(fit)
         for index, (leg, after) in enumerate(zip(fit.problem.legs, residuals, strict=True)):
             before = leg_residuals(fit.problem, fit.first, index).value
-            counted = fit.problem.leg_block.used[:, index] & (fit.weights > 0.0)
+            counted = fit.problem.leg_block.used[:, index] & fit.good
             of_leg = fit.problem.leg_block.columns[index]
             names = fit.problem.legs[index].parameter_names
             determined = identifiability(fit.last.triangle[:, of_leg], names)
@@ -340,7 +339,7 @@ def _platform_residuals(fit: Fit, shares: Array) -> list[ResidualGroup]:
             if not point.startswith(f"{ROW}_"):  # the point of another row
                 measured[f"{point}_{axis}"] = column, rows
     for name, (column, rows) in measured.items():
-        counted = rows & (fit.weights > 0.0)
+        counted = rows & fit.good
         if counted.any():
             quantity, unit = observation.names[column], observation.units[column]
             parts = (part[:, column] for part in (before, after, observation.sigma, shares))

@@ -148,7 +148,7 @@ def run(
     if AUTO in asked.options.terms and terms:
         findings = (*findings, finding("terms-chosen", parameters=terms))
     outliers = result.outliers
-    if result.excess > 1.0 and result.loss == "none":
+    if result.excess > 1.0 and not result.options.rejects:
         findings, outliers = blame_wrong_rows(result, findings)
     unsaid = _AS_SAID * asked.options.rough
     findings = tuple(remark for remark in findings if remark.code not in unsaid)
@@ -209,7 +209,7 @@ def started(calibration: Calibration) -> Calibration:
     if options.setup.pixels:
         photos.check_photos(calibration)
     calibration = _with_terms(calibration)
-    if options.loss != "none" and options.setup.pixels:
+    if options.rejects and options.setup.pixels:
         calibration = photos.without_false_points(calibration)
     if options.setup.plain:
         faults = () if options.rough else plausibility.implausible(calibration)
@@ -252,7 +252,7 @@ def explained_error(calibration: Calibration, error: Exception) -> Exception:
     if faults:
         return MisfitError(sentences(faults)[0])
     if isinstance(error, np.linalg.LinAlgError):
-        options = "--loss none" if calibration.options.loss != "none" else "--loss reject"
+        options = "--loss none" if calibration.options.rejects else "--loss reject"
         return ObservabilityError(
             "the search went where the parameters are not determined by the rows that count; look "
             f"for rows that are wrong ({options}), or give a better nominal mechanism"
@@ -282,8 +282,8 @@ class Remedy:
     """The result; None if calibration raised an error."""
     trouble: str
     """The error of the calibration; empty without one."""
-    whatever_the_loss: bool = False
-    """Whether the error is about most rows, so that no robust loss would help."""
+    of_most_rows: bool = False
+    """Whether the error is about most rows, so that leaving some out would not help."""
 
     @property
     def works(self) -> bool:
@@ -332,7 +332,7 @@ def _with_rows_rejected(remedies: Sequence[Remedy]) -> list[Remedy]:
     for remedy in remedies:
         result = remedy.result
         lost = result is not None and not (result.converged or result.outliers)
-        if remedy.whatever_the_loss or lost or remedy.calibration.options.loss != "none":
+        if remedy.of_most_rows or lost or remedy.calibration.options.rejects:
             continue
         fewer = _attempt(remedy.findings, remedy.calibration.with_options(loss="reject"))
         if fewer.result is not None:

@@ -122,7 +122,7 @@ def _noise_proportion(fits: Fits) -> list[Finding]:
     normal (E. B. Wilson, M. M. Hilferty 1931). Separate legs, which share noise, are not tested.
     """
     noise = fits.calibration.noise
-    if not (fits.latent and noise.known) or any(fit.system.loss is not None for fit in fits.fits):
+    if not (fits.latent and noise.known):
         return []
     moments = fits.moments
     readings = any(fit.problem.leg_block.sigma.any() for fit in fits.fits)

@@ -26,7 +26,7 @@ from pincal.estimation.observability.identifiable import (
 )
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.robust import check_covariance, robust_fit
-from pincal.estimation.system import Loss, System, loss_of
+from pincal.estimation.system import System
 from pincal.estimation.unknowns import External, State
 from pincal.model import Leg, Mechanism, Noise
 from pincal.model.checks import ALIKE
@@ -225,8 +225,8 @@ def _all_legs(
     free = unknowns.held(gauge.constraints) if gauge.found else unknowns
     options.report("identifying all legs and poses")
     known, former = calibration.noise.known, begin if rows is None else None
-    counts, progress = calibration.counts, options.progress
-    system = System(problem, free, counts, known, max_evaluations=patience, progress=progress)
+    counts, rejects, progress = calibration.counts, options.rejects, options.progress
+    system = System(problem, free, counts, known, rejects, patience, progress=progress)
     if options.strict:
         fit, held = _fit_all(calibration, system, start), None
     else:
@@ -284,7 +284,7 @@ def _fit_all(calibration: Calibration, system: System, start: Linear | None) -> 
             f"{filled(WORDINGS[held.code].says, held)}. Measure poses that separate them, fix one "
             "of them, or hold them (leave out --strict)"
         )
-    fit = robust_fit(system, loss_of(calibration.options.loss), linear, near=bool(start))
+    fit = robust_fit(system, linear, near=bool(start))
     return check_covariance(calibration.mechanism, fit)
 
 
@@ -294,7 +294,7 @@ def _fit_holding(
     """Return a fit with weak directions held, one more each time until it converges; and these."""
     held = held_before = former.held if former else None
     fewest, problem, near = held.fewest if held else 0, system.problem, start is not None
-    mechanism, loss = calibration.mechanism, loss_of(calibration.options.loss)
+    mechanism = calibration.mechanism
     nominal = held.nominal if held else problem.evaluate(problem.start(system.unknowns.start))
     nominal = replace(nominal, problem=problem)
     begin, farthest = start or nominal, plausible_changes(mechanism, problem.legs)
@@ -312,11 +312,11 @@ def _fit_holding(
         holding = replace(system, unknowns=held.unknowns)
         try:
             if may_hold_more:
-                fit = _fit_unless_astray(holding, loss, begin, bounds, near=near)
+                fit = _fit_unless_astray(holding, begin, bounds, near=near)
             else:
-                fit = robust_fit(holding, loss, begin, near=near)
+                fit = robust_fit(holding, begin, near=near)
             if fit.converged or not may_hold_more:
-                return _fit_of_its_axes(mechanism, system, loss, fit, held)
+                return _fit_of_its_axes(mechanism, system, fit, held)
         except ObservabilityError:
             if not may_hold_more:
                 raise
@@ -324,7 +324,7 @@ def _fit_holding(
 
 
 def _fit_of_its_axes(
-    mechanism: Mechanism, system: System, loss: Loss | None, fit: Fit, held: HeldUnknowns
+    mechanism: Mechanism, system: System, fit: Fit, held: HeldUnknowns
 ) -> tuple[Fit, HeldUnknowns]:
     """Return a fit with fewer directions held, if the rows contradict the others; and what is held.
 
@@ -340,22 +340,20 @@ def _fit_of_its_axes(
     if (count := fewer.unknowns.n_free - held.unknowns.n_free) <= 0:
         return fit, held
     freed = replace(system, unknowns=fewer.unknowns, max_evaluations=_PATIENCE)
-    refit = robust_fit(freed, loss, fit.last, near=True)
+    refit = robust_fit(freed, fit.last, near=True)
     freedoms, least = max(refit.degrees_of_freedom, 1), float(np.finfo(float).tiny)
     gain = max(fit.chi2 - refit.chi2, 0.0) / max(refit.chi2, least) * freedoms / count
     contradicted = fdtrc(count, freedoms, gain) < _CONTRADICTED
     return (refit, fewer) if refit.converged and contradicted else (fit, held)
 
 
-def _fit_unless_astray(
-    system: System, loss: Loss | None, begin: Linear, bounds: Array, *, near: bool
-) -> Fit:
+def _fit_unless_astray(system: System, begin: Linear, bounds: Array, *, near: bool) -> Fit:
     """Return a fit; unfinished if its search soon leaves the parameters' bounds, (2, n_params)."""
     patience = _PATIENCE * (1 + near)
-    fit = robust_fit(replace(system, max_evaluations=patience), loss, begin, near=near)
+    fit = robust_fit(replace(system, max_evaluations=patience), begin, near=near)
     if fit.converged or (fit.parameters < bounds[0]).any() or (fit.parameters > bounds[1]).any():
         return fit
-    return robust_fit(system, loss, fit.last, near=near)
+    return robust_fit(system, fit.last, near=near)
 
 
 def _legs_alone(calibration: Calibration) -> Fits:
@@ -369,10 +367,10 @@ def _legs_alone(calibration: Calibration) -> Fits:
         options.report(f"identifying {', '.join(names)}")
         problem, rows = calibration.measured_problem(names)
         free, counts = unknowns.part(names), calibration.counts[rows]
-        system = System(problem, free, counts, calibration.noise.known, progress=options.progress)
+        known, progress = calibration.noise.known, options.progress
+        system = System(problem, free, counts, known, options.rejects, progress=progress)
         begin = problem.evaluate(problem.start(free.start))
-        fit = robust_fit(system, loss_of(options.loss), begin)
-        fits.append(check_covariance(mechanism, fit))
+        fits.append(check_covariance(mechanism, robust_fit(system, begin)))
     return Fits(calibration, fits)
 
 

@@ -10,7 +10,6 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.system import Loss, LossName, loss_of
 from pincal.files.text import in_si, plain_number
 from pincal.model import Measurements, Mechanism, Noise, Parameter, Setup, means
 from pincal.model.checks import counted, must_be
@@ -84,6 +83,7 @@ def _regions(readings: Array, count: int) -> Index:
 Method = Literal["all-legs", "per-leg"]
 """All legs together from every row, or each leg alone."""
 Poses = Literal["own", "all"]
+Loss = Literal["none", "reject"]
 Progress = Callable[[str], None] | None
 AUTO: Final = "auto"
 """Terms, or sizes of tolerances, are to be found from the measurements."""
@@ -108,10 +108,7 @@ class Options:
     are taken from repeated rows, or else estimated by group from the residuals."""
     setup: Setup = field(default_factory=Setup)
     """What was measured: unknown frame, targets, distances, instruments."""
-    loss: LossName | Loss = option(
-        "none", "Rows that do not fit count less, or are left out (reject).", kind=LossName
-    )
-    """In Python also a user's ``Loss``."""
+    loss: Loss = option("none", "Rows that do not fit count too (none), or are left out (reject).")
     fixed: tuple[str, ...] = option(
         (), "Hold a parameter: l of every leg, leg_1.l of one; leg_1.*, A_*.", metavar="NAME"
     )
@@ -163,7 +160,6 @@ class Options:
                     f"unknown {name} {getattr(self, name)!r}; expected one of "
                     f"{', '.join(get_args(known))}"
                 )
-        loss_of(self.loss)  # raises if it is unknown
         must_be(self.noise, (Noise, type(None)), "noise", MeasurementError)
         must_be(self.setup, Setup, "setup", MeasurementError)
         if not isinstance(self.folds, int) or self.folds < 0 or self.folds == 1:
@@ -233,13 +229,18 @@ class Options:
         """Whether poses are unknowns rather than taken as measured."""
         return self.method == "all-legs"
 
+    @property
+    def rejects(self) -> bool:
+        """Whether rows that do not fit are left out."""
+        return self.loss == "reject"
+
     def report(self, what: str) -> None:
         """Report what is being done."""
         if self.progress is not None:
             self.progress(what)
 
 
-_CHOICES = {"method": Method, "poses": Poses}
+_CHOICES = {"method": Method, "poses": Poses, "loss": Loss}
 
 
 def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any]:

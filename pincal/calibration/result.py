@@ -162,9 +162,8 @@ class CalibrationResult:
 
     @property
     def loss(self) -> str:
-        """Name of the robust loss, ``"none"`` for least squares."""
-        loss = self.options.loss
-        return loss if isinstance(loss, str) else loss.name
+        """``"reject"`` if rows that do not fit were left out, else ``"none"``."""
+        return self.options.loss
 
     @cached_property
     def parameters(self) -> Parameters:
@@ -286,8 +285,8 @@ class CalibrationResult:
         """Return the result with its errors at held-out rows, and findings on them.
 
         Rows whose ``set`` is ``verify`` are held out, if there are any. Otherwise each fold is left
-        out in turn, with rows of every ``set``, and all rows of a ``pose`` together. Outliers of a
-        robust loss are not counted.
+        out in turn, with rows of every ``set``, and all rows of a ``pose`` together. Rejected rows
+        are not counted.
 
         Args:
             folds: How many times a share of the rows is held out.

@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 from operator import eq
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, get_origin
+from typing import TYPE_CHECKING, Any, get_origin
 
 import numpy as np
 from cattrs import Converter
@@ -27,7 +27,6 @@ from pincal.calibration.promise import most_uncertain, uncovered
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import IdentifiedParameter
 from pincal.errors import FileError, MeasurementError, PincalError
-from pincal.estimation.system import LOSSES, Loss, LossName
 from pincal.estimation.unknowns import State
 from pincal.files.columns import write_plan
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
@@ -55,17 +54,6 @@ def _plain(array: NDArray[Any]) -> Any:
 def _array(data: Any, _: Any) -> NDArray[Any]:
     values = [float(entry) if isinstance(entry, str) else entry for entry in data["values"]]
     return np.array(values, dtype=np.dtype(str(data["type"]))).reshape(data["shape"])
-
-
-def _loss(name: str, _: Any) -> LossName | Loss:
-    """Return a loss by its name; a user's loss is code, of which only the name is stored."""
-
-    def weigh(_: Any) -> Any:
-        raise MeasurementError(
-            f"loss {name!r} is code, which a result's folder does not hold; give it as loss=…"
-        )
-
-    return cast(LossName, name) if name in ("none", *LOSSES) else Loss(name, weigh, 0.5)
 
 
 def _frozen(data: Any) -> Any:
@@ -100,12 +88,10 @@ def _converter() -> Converter:
     converter.register_unstructure_hook(np.ndarray, _plain)
     converter.register_unstructure_hook(float, lambda x: x if abs(x) < np.inf else str(x))
     converter.register_unstructure_hook(Mechanism, lambda _: None)
-    converter.register_unstructure_hook(Loss, lambda loss: loss.name)
     converter.register_unstructure_hook_func(lambda kind: kind == Progress, lambda _: None)
     converter.register_structure_hook_func(is_array, _array)
     converter.register_structure_hook(float, lambda data, _: float(data))
     for structured, structure in (
-        (LossName | Loss, _loss),
         (Progress, lambda *_: None),
         (Tolerance, lambda data, _: converter.structure(data, dict[str, float])),
         (tuple[Instrument, ...], lambda data, _: tuple(checked(part, Camera) for part in data)),

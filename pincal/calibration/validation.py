@@ -60,10 +60,10 @@ def with_validation(
 def _held_out(fits: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]]:
     """Return the errors at rows held out of fits, and wrong verification rows.
 
-    Errors are without the wrong rows and rows that a robust loss rejects. Folds are used if no
+    Errors are without the wrong rows and rejected rows. Folds are used if no
     verification row remains.
     """
-    robust = fits.calibration.options.loss != "none"
+    robust = fits.calibration.options.rejects
     calibration = fits.calibration.with_options(loss="none")
     fitting, wrong = np.ones(len(calibration.measurements), dtype=bool), list[Outlier]()
     if robust:

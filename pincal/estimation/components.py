@@ -290,7 +290,7 @@ class Evidence(NamedTuple):
         priors[places] = np.inf
         system = fit.system.with_priors(priors)
         return cls(
-            system.triangle(fit.last, fit.weights) / fit.noise_scale,
+            system.triangle(fit.last, fit.good.astype(float)) / fit.noise_scale,
             unknowns.map[places],
             (fit.parameters - unknowns.nominal[: len(fit.parameters)])[places],
             np.array([groups[labels[place]] for place in places], dtype=np.intp),

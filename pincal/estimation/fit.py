@@ -5,18 +5,15 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from scipy.special import chdtri
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.noise import RowNoise
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.solver import SolverResult, optimum, search, solve_poses
-from pincal.estimation.system import FALSE_ALARM, NormalEquations, System, outlying
+from pincal.estimation.system import NormalEquations, System
 from pincal.estimation.unknowns import Unknowns
 from pincal.types import Array, Index, Mask
-
-_FALLEN = 0.9  # share of what determines a direction that falling slopes may take away
 
 
 @dataclass(frozen=True)
@@ -39,10 +36,7 @@ class Outlier:
 
 @dataclass(frozen=True)
 class Fit(SolverResult):
-    """The optimum of a problem with its covariance.
-
-    An error ρ of the rows moves it by δz = −B⁻¹ Σ ψ' Jᵀ ρ; its covariance is B⁻¹ M B⁻¹.
-    """
+    """The optimum of a problem with its covariance (JᵀJ)⁻¹; errors ρ move it by −(JᵀJ)⁻¹ Jᵀ ρ."""
 
     system: System
     """What was minimised."""
@@ -58,8 +52,7 @@ class Fit(SolverResult):
     def at_noise_of(self, problem: Problem) -> Self:
         """Return the fit of a problem with other noise, to first order without a new search."""
         system, last = replace(self.system, problem=problem), replace(self.last, problem=problem)
-        scale = self.scale if system.loss is None else system.scale(last.squares)
-        return replace(self, system=system, last=last, scale=scale)
+        return replace(self, system=system, last=last)
 
     @property
     def problem(self) -> Problem:
@@ -81,13 +74,10 @@ class Fit(SolverResult):
         """Identified parameters of the legs, shape (n_params,)."""
         return self.last.state.parameters
 
-    @cached_property
+    @property
     def good(self) -> Mask:
-        """Which rows take part and are not outliers, shape (N,)."""
-        if self.system.loss is None:
-            return self.weights > 0.0
-        squares = self.last.squares / self.scale**2
-        return (self.weights > 0.0) & ~outlying(squares, self.last.equations)
+        """Which rows take part, shape (N,)."""
+        return self.system.kept
 
     @cached_property
     def degrees_of_freedom(self) -> int:
@@ -97,10 +87,8 @@ class Fit(SolverResult):
 
     @cached_property
     def chi2(self) -> float:
-        """Weighted sum of squares; under a robust loss that of good rows at their own optimum."""
-        if self.system.loss is None:
-            return self.system.cost(self.last, self.weights)
-        return self.normal.left
+        """Weighted sum of squares."""
+        return self.system.cost(self.last)
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -120,101 +108,27 @@ class Fit(SolverResult):
         return float(np.sqrt(max(self.chi2 / max(self.degrees_of_freedom, 1), 0.0)))
 
     @cached_property
-    def slopes(self) -> Array:
-        """ψ' in B: its mean for rows that fit, the weight for outliers, shape (N,)."""
-        return self._psi[0]
-
-    @cached_property
-    def _psi(self) -> tuple[Array, Array, Array, Array]:
-        """Slopes of ψ, and their decrease along the residuals of outliers, shape (N,) each.
-
-        Then the root mean square of ψ for rows that fit, and ψ over the residual for outliers;
-        both are zero elsewhere.
-        """
-        system, weights, none = self.system, self.weights, np.zeros_like(self.weights)
-        if system.loss is None:
-            return weights, none, weights, none
-        squares, equations = self.last.squares / self.scale**2, self.last.equations
-        unit = max(self.chi2 / max(self.degrees_of_freedom, 1), 1e-300)
-        far = squares > chdtri(np.maximum(equations, 1), FALSE_ALARM)
-        good, far = system.kept & ~far, system.kept & far
-        n = system.unknowns.n_free
-        slope, square, factor = system.loss.moments(squares[good], equations[good], n)
-        return (
-            np.where(good, slope, weights),
-            np.where(far, weights - system.loss.slope(squares, equations), 0.0),
-            np.where(good, factor * np.sqrt(square * self.scale**2 / unit), 0.0),
-            np.where(far, factor * weights / np.sqrt(unit), 0.0),
-        )
-
-    @cached_property
     def root(self) -> Array:
-        """Root L of B⁻¹ = (RᵀR − GᵀG)⁻¹, G by the decreasing slopes of outliers, (n_free, n_free).
-
-        For least squares it is R⁻¹.
-        """
-        root = NormalEquations.of(self.system.triangle(self.last, self.slopes)).root
-        falls = self._psi[1]
-        if not falls.any():
-            return root
-        along = self._along / np.sqrt(np.maximum(self.last.squares, 1e-300))[:, None]
-        C = np.sqrt(np.maximum(falls, 0.0))[:, None] * along @ self.unknowns.map @ root
-        share, V = np.linalg.eigh(C.T @ C)
-        return np.asarray(root @ (V / np.sqrt(1.0 - np.minimum(share, _FALLEN))))
-
-    @cached_property
-    def meat_in_root(self) -> Array:
-        """Lᵀ M L with B⁻¹ = L Lᵀ, the identity for least squares, shape (n_free, n_free)."""
-        linear, noises = self.last, self._psi[2]
-        if self.system.loss is None:
-            return np.eye(len(self.root))
-        by_free, W = self.unknowns.map @ self.root, linear.white.by_noise
-        pulled = self._pulled[self._psi[3] > 0.0] @ by_free
-        prior = self.unknowns.prior_rows(self.unknowns.start)[1] @ self.root
-        fits = noises > 0.0
-        rows = W[fits].transpose(0, 2, 1) @ (linear.jacobian[fits] @ by_free)
-        rows = (noises[fits, None, None] * rows).reshape(-1, by_free.shape[1])
-        return np.asarray(pulled.T @ pulled + prior.T @ prior + rows.T @ rows)
+        """Derivatives of all unknowns by orthonormal free ones, shape (n, n_free)."""
+        return self.unknowns.map @ self.normal.root
 
     @cached_property
     def covariance(self) -> Array:
-        """B⁻¹ M B⁻¹ of all unknowns, shape (n, n), scaled by reduced χ² if noise was estimated."""
-        by_free = self.unknowns.map @ self.root
-        covariance = by_free @ self.meat_in_root @ by_free.T
-        return np.asarray(self.noise_scale**2 * covariance + self.widening)
-
-    @property
-    def _along(self) -> Array:
-        """rᵀ J of each row, shape (N, n)."""
-        return np.einsum("nm,nmk->nk", self.last.residuals, self.last.jacobian)
-
-    @property
-    def _pulled(self) -> Array:
-        """ψᵀ J of outliers, shape (N, n)."""
-        pulls = self._psi[3][:, None]
-        return np.where(pulls > 0.0, pulls * self._along, 0.0)
+        """Covariance of all unknowns, (n, n), scaled by reduced χ² if noise was estimated."""
+        return np.asarray(self.noise_scale**2 * self.root @ self.root.T + self.widening)
 
     def response(self, errors: Array) -> Array:
-        """Return the changes −B⁻¹ Σ Jᵀ ψ' c of all unknowns, (n, q), by errors c of conditions.
-
-        The errors have shape (N, k, q).
-        """
-        weighted = self.slopes[:, None, None] * self.last.white(errors)
-        J, by_free = self.last.jacobian, self.unknowns.map @ self.root
-        right = np.einsum("nmk,nmq->kq", J, weighted, optimize=True)
-        return np.asarray(-by_free @ (by_free.T @ right))
+        """Return the changes of all unknowns, (n, q), by errors of conditions, (N, k, q)."""
+        J, white = self.last.jacobian[self.good], self.last.white(errors)[self.good]
+        right = np.einsum("nmk,nmq->kq", J, white, optimize=True)
+        return np.asarray(-self.root @ (self.root.T @ right))
 
     @cached_property
     def influence(self) -> Array:
-        """Derivatives of all unknowns by the noise in standard deviations, shape (N, n, s + 1).
-
-        They are −B⁻¹ Jᵀ W at each pose; the last column is the change by an outlier.
-        """
-        W, J = self.last.white.by_noise, self.last.jacobian
-        noises, by_free = self._psi[2][:, None, None], self.unknowns.map @ self.root
-        noise = np.where(noises > 0.0, noises * (J.transpose(0, 2, 1) @ W), 0.0)
-        follows = np.concatenate((noise, self._pulled[:, :, None]), axis=2)
-        return -self.noise_scale * (by_free @ by_free.T) @ follows
+        """Derivatives of all unknowns by the noise in standard deviations, shape (N, n, s)."""
+        follows = self.last.jacobian.transpose(0, 2, 1) @ self.last.white.by_noise
+        follows[~self.good] = 0.0
+        return -self.noise_scale * (self.root @ self.root.T) @ follows
 
 
 def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
@@ -227,7 +141,7 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
     problem, unknowns = system.problem, system.unknowns
     first, evaluations = solve_poses(begin)
     check_rank(problem, unknowns, first)
-    start, easier = (first, 0) if near else _easier_start(system, begin, first)
+    start, easier = (first, 0) if near else easier_start(system, begin, first)
     solution = optimum(system, start, system.cost(first), evaluations + easier, near=near)
     if system.known:  # at the start of a search a pose may be too near to a singularity
         check_information(problem, unknowns, (first, solution.last))
@@ -251,20 +165,20 @@ _EASY_NEAR = 0.1  # distance from the easier problem's optimum, in σ, at which 
 _EASY_EVALUATIONS = 50
 
 
-def _easier_start(system: System, begin: Linear, first: Linear) -> tuple[Linear, int]:
+def easier_start(system: System, begin: Linear, first: Linear) -> tuple[Linear, int]:
     """Return where the search begins, and the evaluations that this took.
 
     It is near the optimum of an easier problem if that is better than the start: the evened problem
-    by least squares without gross errors, since a robust loss is not convex far from its optimum.
+    by least squares without gross errors, since Cauchy's loss is not convex far from its optimum.
     ``first`` is the start with its poses solved.
     """
     problem = system.problem
     sound = first.squares <= _GROSS**2 * np.median(first.squares)
-    easier = _evened(problem, first) or (problem if system.loss or not sound.all() else None)
+    easier = _evened(problem, first) or (problem if system.robust or not sound.all() else None)
     if easier is None:
         return first, 0
     easier_begin, solved = solve_poses(replace(begin, problem=easier))
-    easy = replace(system, problem=easier, kept=system.kept & sound, loss=None)
+    easy = replace(system, problem=easier, kept=system.kept & sound, robust=False)
     end = search(replace(easy, max_evaluations=_EASY_EVALUATIONS), easier_begin, enough=_EASY_NEAR)
     evaluations = solved + end.evaluations
     try:

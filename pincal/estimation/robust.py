@@ -6,11 +6,11 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.fit import Fit, Outlier, fit
-from pincal.estimation.observability.identifiable import DIFFER, plausible_changes
+from pincal.estimation.fit import Fit, Outlier, easier_start, fit
+from pincal.estimation.observability.identifiable import DIFFER, check_rank, plausible_changes
 from pincal.estimation.problem import Linear
-from pincal.estimation.solver import solve_poses, unsolved
-from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected
+from pincal.estimation.solver import search, solve_poses, unsolved
+from pincal.estimation.system import System, outlying, robust_scale, suspected
 from pincal.model import ROW, Mechanism
 from pincal.types import Mask
 from pincal.words.numbers import listed
@@ -22,58 +22,54 @@ _GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
 _LINEAR = 0.1  # share of the machine's size, or [rad], up to which noise acts linearly
 
 
-def robust_fit(system: System, loss: Loss | None, begin: Linear, *, near: bool = False) -> Fit:
-    """Return the fit of a problem by least squares or under a robust loss, and its outliers.
+def robust_fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
+    """Return the fit of a problem and its outliers, which a ``robust`` system leaves out.
 
-    The search begins at nominal parameters, or near the optimum under the same loss.
+    The search begins at nominal parameters, or near the optimum.
     """
-    if loss is None:
+    if system.robust:
+        optimum, scale = _fit_rejecting(system, begin, near=near)
+        judged = scale
+    else:
         optimum = fit(system, begin, near=near)
         scale = judged = optimum.noise_scale
         squares, equations = optimum.last.squares, optimum.last.equations
         share = optimum.degrees_of_freedom / max(int(equations.sum()), 1)
         if share > 0.0:  # where every row misses by more, the noise given is wrong, and no row
             judged = max(scale, robust_scale(squares, equations, share))
-    else:
-        optimum, scale = _under_loss(system, loss, begin, near=near)
-        judged = scale
     return replace(optimum, outliers=_outliers(optimum, scale, judged, system.kept))
 
 
-def _under_loss(system: System, loss: Loss, begin: Linear, *, near: bool) -> tuple[Fit, float]:
-    """Return the fit under a robust loss, and the scale of the noise by which it rejects rows.
+def _fit_rejecting(system: System, begin: Linear, *, near: bool) -> tuple[Fit, float]:
+    """Return the least-squares fit of the rows that fit each other, and the scale of the noise.
 
-    From nominal parameters the search takes Cauchy's loss, which gives every row some weight, then
-    Tukey's if rows are rejected. Near an optimum the conditions there give the scale.
+    From nominal parameters a search by Cauchy's loss, which gives every row some weight, comes
+    first. Near an optimum the conditions there give the scale.
     """
-    problem, fits = system.problem, list[Fit]()
+    problem, squares_only = system.problem, replace(system, robust=False)
+    first, evaluations = solve_poses(begin)
+    linear = first
     if not near:
-        fits.append(fit(replace(system, loss=LOSSES["cauchy"]), begin))
-        linear, scale = fits[0].last, fits[0].scale
-    else:
-        linear, _ = solve_poses(begin)
-        _, scale = replace(system, loss=loss).weights(linear.squares)
+        check_rank(problem, system.unknowns, first)
+        start, easier = easier_start(system, begin, first)
+        end = search(system, start)
+        linear, evaluations = end.last, evaluations + easier + end.evaluations
+    scale = system.scale(linear.squares)
     # Rows whose pose was not found, or whose noise moves the machine by a large part of its size,
     # have meaningless derivatives, and no loss bounds their influence.
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
     largest = {"m": _LINEAR * problem.size, "rad": _LINEAR}
     sound = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in problem.units]).all(axis=1)
     sound &= system.kept & ~unsolved(linear)
-    system = replace(system, held_scale=scale, kept=sound)
-    if fits or loss.name != "reject":
-        fine = LOSSES["tukey"] if loss.name == "reject" else loss
-        fits.append(fit(replace(system, loss=fine), linear, near=True))
-    if loss.name == "reject":  # least squares of the rows that fit each other, until they stay
-        rows = None
-        for _ in range(_ROUNDS):
-            linear = fits[-1].last if fits else linear
-            inliers = sound & ~outlying(linear.squares / scale**2, linear.equations)
-            if rows is not None and (inliers == rows).all():
-                break
-            rows = inliers
-            fits.append(fit(replace(system, kept=inliers), linear, near=True))
-    evaluations = sum(each.evaluations for each in fits)
-    return replace(fits[-1], first=fits[0].first, evaluations=evaluations), scale
+    rows = None
+    for _ in range(_ROUNDS):
+        inliers = sound & ~outlying(linear.squares / scale**2, linear.equations)
+        if rows is not None and (inliers == rows).all():
+            break
+        rows = inliers
+        optimum = fit(replace(squares_only, kept=inliers), linear, near=True)
+        linear, evaluations = optimum.last, evaluations + optimum.evaluations
+    return replace(optimum, first=first, evaluations=evaluations), scale
 
 
 def check_covariance(mechanism: Mechanism, optimum: Fit) -> Fit:
@@ -115,7 +111,7 @@ def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Out
         return ()
     equations = np.maximum(linear.equations, 1)
     relative = linear.squares / scale**2
-    left_out = outlying(relative, equations) & (fit.weights == 0.0)
+    left_out = outlying(relative, equations) & ~fit.good
     far = np.where(linear.equations > 0, linear.squares / max(scale, judged) ** 2, 0.0)
     listed_rows = (left_out | suspected(far, equations)) & (linear.equations > 0) & counted
     worst = {int(i): most_off(linear, int(i)) for i in np.flatnonzero(listed_rows)}
@@ -124,7 +120,7 @@ def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Out
             row=int(fit.rows[i]),
             legs=tuple(leg.name for leg in fit.problem.legs),
             sigma=as_one(float(relative[i]), int(equations[i])),
-            weight=float(fit.weights[i]),
+            weight=float(fit.good[i]),
             quantity=quantity,
             off=sigma / scale,
         )

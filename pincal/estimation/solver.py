@@ -53,10 +53,6 @@ class SolverResult:
 
     last: Linear
     """Conditions at the end, at measured readings."""
-    weights: Array
-    """Weights of the rows, shape (N,)."""
-    scale: float
-    """Scale of the noise, as a robust loss estimates it; 1 without."""
     evaluations: int
     """Number of evaluations of the conditions."""
     distance: float
@@ -73,7 +69,6 @@ class Iterate(NamedTuple):
     judged: Linear
     """Conditions that steps minimise: ``linear``, or the conditions at adjusted readings."""
     weights: Array
-    scale: float
     cost: float
     """Weighted sum of squares, priors included."""
     normal: NormalEquations
@@ -83,9 +78,9 @@ class Iterate(NamedTuple):
     def of(cls, system: System, linear: Linear) -> Self:
         """Return the iterate at given conditions."""
         judged = adjusted(linear) if system.adjusted else linear
-        weights, scale = system.weights(linear.squares)
-        cost = system.cost(judged, weights)
-        return cls(linear, judged, weights, scale, cost, system.solve(judged, weights, scale))
+        weights = system.weights(linear.squares)
+        normal = NormalEquations.of(system.triangle(judged, weights))
+        return cls(linear, judged, weights, system.cost(judged, weights), normal)
 
     @property
     def blind(self) -> bool:
@@ -146,8 +141,6 @@ def search(
     exact = current.normal.decrement <= max(NO_STEP, 10.0 * rounding(system, current.linear))
     return SolverResult(
         current.linear,
-        current.weights,
-        current.scale,
         evaluations,
         distance,
         exact or distance <= (10.0 if system.adjusted else 1.0) * NEGLIGIBLE,
@@ -229,7 +222,7 @@ def _accepted(system: System, current: Iterate, trial: Iterate, highest: float) 
         near = nearer and cost <= (1.0 + ROWS_FOLLOW) * current.cost
         if not (near and system.cost(trial.judged, weights, current.judged) <= current.cost):
             return False
-    return system.loss is not None or trial.cost <= highest
+    return system.robust or trial.cost <= highest
 
 
 def _adapt_damping(

@@ -1,86 +1,32 @@
 """What a search minimises: weighted rows and priors in the free unknowns, as normal equations.
 
-A robust loss judges a row as a whole, by the sum of its squared residuals in standard deviations:
-χ², for a good row, with as many degrees of freedom as it has equations. Tuning constants are the
-usual ones of a single residual (Huber 1.345, Cauchy 2.385, Tukey 4.685: 95 % efficiency), carried
-over to several residuals by equal probability.
+A robust search weighs each row as a whole by Cauchy's loss of its χ², the sum of its squared
+residuals in standard deviations. The tuning constant is the usual one of a single residual (2.385:
+95 % efficiency), carried over to several residuals by equal probability.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri, gammaincinv
 
-from pincal.errors import MeasurementError
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.types import Array, Index, Mask
 
-LossName = Literal["none", "huber", "cauchy", "tukey", "reject"]
 UNLIKELY = 1e-3  # probability that a good row is rejected, or that sound held-out rows disagree
-_STEP = 1e-4  # step in the logarithm of a residual, for slopes by differences
-_LEAST_BEND = 1e-2
+_CAUCHY = float(chdtr(1, 2.385**2))  # probability that a good row is within the tuning constant
 CLEAR = 3.0  # standard errors above which an effect is significant
 FALSE_ALARM = 0.01  # probability of any finding of one kind where the model holds
 
 
-@dataclass(frozen=True)
-class Loss:
-    """Weights of rows by the root of their χ²."""
-
-    name: str
-    weigh: Callable[[Array], Array]
-    """Weight by the root of χ² over the tuning constant."""
-    probability: float
-    """Probability with which a good row's χ² is below the square of the tuning constant."""
-
-    def constant(self, equations: Index) -> Array:
-        """Return the tuning constants of rows with given numbers of equations, same shape."""
-        return np.sqrt(_quantile(self.probability, np.maximum(equations, 1)))
-
-    def weights(self, squares: Array, equations: Index) -> Array:
-        """Return the weights of rows, shape (N,), from their χ² and numbers of equations."""
-        return self.weigh(np.sqrt(squares) / self.constant(equations))
-
-    def slope(self, squares: Array, equations: Index) -> Array:
-        """Return the curvature along the residuals, d(u w)/du, shape (N,)."""
-        u, h = np.sqrt(squares) / self.constant(equations), _STEP
-        less, upper = (np.exp(step) * self.weigh(u * np.exp(step)) for step in (-h, h))
-        return np.asarray((upper - less) / (2.0 * np.sinh(h)))
-
-    def bend(self, squares: Array, equations: Index) -> Array:
-        """Return the slope over the weight, (N,), not below a least curvature above zero."""
-        w = self.weights(squares, equations)
-        bend = np.divide(self.slope(squares, equations), w, out=np.ones_like(w), where=w > 0.0)
-        return np.clip(bend, _LEAST_BEND, 1.0)
-
-    def moments(
-        self, squares: Array, equations: Index, free: int = 0
-    ) -> tuple[float, float, float]:
-        """Return the mean slope of ψ, its mean square, and Huber's small-sample factor.
-
-        With n equations and p free parameters: m, the mean of ψ's slopes (w across the residuals,
-        d(u w)/du along them), the mean square Σ w² d² / (n − p), and K = 1 + (p / n) v / m², v the
-        variance of the slopes (P. J. Huber, Robust Statistics, 1981, 7.6).
-        """
-        k, w = equations.astype(float), self.weights(squares, equations)
-        n, along = max(float(k.sum()), 1.0), self.slope(squares, equations)
-        along, across = np.where(k > 0.0, along, 0.0), np.maximum(k - 1.0, 0.0)
-        m = max(float(across @ w + along.sum()) / n, _LEAST_BEND)
-        v = float(across @ w**2 + (along**2).sum()) / n - m**2
-        return m, float(w**2 @ squares) / max(n - free, 1.0), 1.0 + free / n * v / m**2
-
-
-LOSSES: dict[str, Loss] = {
-    "huber": Loss("huber", lambda u: 1.0 / np.maximum(1.0, u), float(chdtr(1, 1.345**2))),
-    "cauchy": Loss("cauchy", lambda u: 1.0 / (1.0 + u**2), float(chdtr(1, 2.385**2))),
-    "tukey": Loss("tukey", lambda u: (1.0 - np.minimum(u, 1.0) ** 2) ** 2, chdtr(1, 4.685**2)),
-    "reject": Loss("reject", lambda u: np.where(u < 1.0, 1.0, 0.0), 1.0 - UNLIKELY),
-}
+def cauchy(squares: Array, equations: Index) -> Array:
+    """Return Cauchy's weights of rows, shape (N,), by their χ² and numbers of equations."""
+    return np.asarray(1.0 / (1.0 + squares / _quantile(_CAUCHY, np.maximum(equations, 1))))
 
 
 def outlying(squares: Array, equations: Index) -> Mask:
@@ -114,23 +60,6 @@ def robust_scale(squares: Array, equations: Index, share: float) -> float:
     return float(np.sqrt(np.median(ratio) / share)) if counts.any() else 1.0
 
 
-def loss_of(loss: LossName | Loss) -> Loss | None:
-    """Return a loss by its name, or the loss itself; None for ``"none"``.
-
-    Raises:
-        MeasurementError: the name is unknown.
-    """
-    if isinstance(loss, Loss):
-        return loss
-    if loss == "none":
-        return None
-    if loss not in LOSSES:
-        raise MeasurementError(
-            f"unknown loss {loss!r}; expected one of none, {', '.join(LOSSES)}, or a pincal.Loss"
-        )
-    return LOSSES[loss]
-
-
 def _quantile(probability: Array | float, equations: Index | int) -> Array:
     """Return quantiles of χ²; the function is slow, so it is called once for each number."""
     counts, places = np.unique(equations, return_inverse=True)
@@ -147,11 +76,10 @@ class System:
     """Rows that take part, shape (N,)."""
     known: bool
     """Whether the scale of the noise is known."""
-    loss: Loss | None = None
+    robust: bool = False
+    """Whether rows that do not fit are to be left out; a search weighs them by Cauchy's loss."""
     max_evaluations: int | None = None
     """Evaluations of the conditions after which a search stops; None for the usual number."""
-    held_scale: float | None = None
-    """Scale of the noise for a robust loss; None to estimate it by the median χ² of the rows."""
     adjusted: bool = False
     """Whether conditions are taken at adjusted readings."""
     progress: Callable[[str], None] | None = None
@@ -161,34 +89,31 @@ class System:
         """Return the system with other standard deviations of nominal values, shape (n,)."""
         return replace(self, unknowns=replace(self.unknowns, priors=priors))
 
-    def weights(self, squares: Array) -> tuple[Array, float]:
-        """Return the weights of rows, shape (N,), by their χ², and the scale of the noise."""
+    def weights(self, squares: Array) -> Array:
+        """Return the weights of rows by their χ², shape (N,)."""
         weights = self.kept.astype(float)
-        if self.loss is None:
-            return weights, 1.0
-        scale = self.held_scale or max(self.scale(squares), 1.0 if self.known else 1e-300)
-        return weights * self.loss.weights(squares / scale**2, self.problem.equations), scale
+        if not self.robust:
+            return weights
+        return weights * cauchy(squares / self.scale(squares) ** 2, self.problem.equations)
 
     def scale(self, squares: Array) -> float:
-        """Return the scale of the noise by the median χ² of the rows."""
+        """Return the scale of the noise by the median χ² of the rows; at least 1 if it is known."""
         equations = self.problem.equations[self.kept]
         share = 1.0 - self.unknowns.n_free / max(int(equations.sum()), 1)
-        return robust_scale(squares[self.kept], equations, max(share, 0.1))
+        scale = robust_scale(squares[self.kept], equations, max(share, 0.1))
+        return max(scale, 1.0 if self.known else 1e-300)
 
-    def triangle(self, linear: Linear, weights: Array, bend: Array | None = None) -> Array:
+    def triangle(self, linear: Linear, weights: Array) -> Array:
         """Return R of the Jacobian by the free unknowns and the residuals, with priors.
 
             ┌ J  r ┐
             │ J  r │ = Q R      one block row a pose, then the priors
             └ ⋮  ⋮ ┘
 
-        R has shape (n_free + 1, n_free + 1). ``weights``, (N,), are of rows; ``bend``, (N,), is the
-        curvature of a robust loss along each row's residuals over its weight.
+        R has shape (n_free + 1, n_free + 1); ``weights``, (N,), are of rows.
         """
         n, used, root = self.unknowns.n_free, weights > 0.0, np.sqrt(weights)[:, None]
         J, r = root[:, :, None] * linear.jacobian, root * linear.residuals
-        if bend is not None:
-            J, r = bent(J, r, np.sqrt(bend))
         J, r = J[used].reshape(-1, J.shape[2]) @ self.unknowns.map, r[used].ravel()
         prior, of_prior = self.unknowns.prior_rows(self.problem.values(linear.state))
         rows = np.column_stack((np.concatenate((J, of_prior)), np.append(r, prior)))
@@ -199,28 +124,10 @@ class System:
         self, linear: Linear, weights: Array | None = None, frame: Linear | None = None
     ) -> float:
         """Return the minimised cost, by default with this state's own weights and whitening."""
-        weights = self.weights(linear.squares)[0] if weights is None else weights
+        weights = self.weights(linear.squares) if weights is None else weights
         value = (frame or linear).whitened(linear.conditions)
         prior, _ = self.unknowns.prior_rows(self.problem.values(linear.state))
         return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
-
-    def solve(self, linear: Linear, weights: Array, scale: float) -> NormalEquations:
-        """Return the normal equations in square-root form, with the curvature of a robust loss."""
-        bend = None
-        if self.loss is not None:
-            bend = self.loss.bend(linear.squares / scale**2, linear.equations)
-        return NormalEquations.of(self.triangle(linear, weights, bend))
-
-
-def bent(J: Array, r: Array, root: Array) -> tuple[Array, Array]:
-    """Return rows whose sum of squares has the gradient and the curvature of a robust loss.
-
-    B. Triggs et al., Bundle adjustment (2000), 4.3. Shapes (N, m, n), (N, m) and (N,).
-    """
-    length = np.linalg.norm(r, axis=1)
-    along = r / np.where(length > 0.0, length, 1.0)[:, None]
-    J = J + ((root - 1.0)[:, None] * along)[:, :, None] * (along[:, None] @ J)
-    return J, r / root[:, None]
 
 
 class NormalEquations(NamedTuple):

@@ -238,7 +238,7 @@ def _found_lines(result: CalibrationResult) -> list[str]:
 
 
 def rejected_lines(result: CalibrationResult) -> list[str]:
-    """Return a line that names the rows a robust loss left out, and how far the worst is off."""
+    """Return a line that names the rows that a fit left out, and how far the worst is off."""
     rejected = [outlier for outlier in result.outliers if outlier.weight == 0.0]
     if not rejected or result.loss == "none":
         return []

@@ -241,7 +241,7 @@ def _measured(result: CalibrationResult) -> dict[str, str]:
             named = Counter(words.get(value, value) for value in values)
             facts[name] = ", ".join(f"{value} {count}" for value, count in named.items())
     if result.loss != "none":
-        facts["robust loss"] = result.loss
+        facts["loss"] = result.loss
     if result.gauge:
         facts["fixed by choice"] = answers.gauge_line(result)
     return facts

@@ -335,7 +335,7 @@ def outliers_table(result: CalibrationResult) -> Table:
     """Return the rows that do not fit, the worst first."""
     omitted = len(result.outliers) - _MOST_OUTLIERS
     return Table(
-        f"Rows that do not fit, the worst first (robust loss: {result.loss})",
+        "Rows that do not fit, the worst first",
         ["data row", "residual [σ]:.1f", "weight:.2f", "what"],
         [
             (

@@ -81,7 +81,7 @@ FINDINGS: dict[str, Wording] = {
         "{'' if rows|length == 1 else 'worst '}data row {row}, by {sigma|f(1)} σ ({quantity} off "
         "by {off|f(1)} σ)",
         "{'First model what the residuals follow, which may be the cause; then check ' ~ them if "
-        "lacking else 'Check ' ~ them ~ ', or use a robust loss (--loss reject)'}",
+        "lacking else 'Check ' ~ them ~ ', or leave ' ~ them ~ ' out (--loss reject)'}",
     ),
     "wrong-rows": Wording(
         "{% if rows|length == 1 %}data row {row} does not fit the others, by{% else %}"

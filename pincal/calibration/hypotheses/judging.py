@@ -3,7 +3,7 @@
 If the base's place is unknown, or no orientation was measured, forward kinematics of the readings
 gives the nominal machine's poses, which are aligned with the measured ones as where fits start. The
 misfit of a leg is its closure residual after a few steps of the estimator at the measured poses,
-with a robust loss, and priors on parameters as wide as machines differ from drawings.
+with Cauchy's loss, and priors on parameters as wide as machines differ from drawings.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.identifiable import DIFFER, changes_of
 from pincal.estimation.problem import LegBlock, Linear, Problem
 from pincal.estimation.start import aligned, placed
-from pincal.estimation.system import LOSSES, NormalEquations, System
+from pincal.estimation.system import NormalEquations, System
 from pincal.estimation.unknowns import BlockRows, External, State, unknowns
 from pincal.kinematics.batches import parted
 from pincal.kinematics.closing import home_mode, mode_sign
@@ -359,12 +359,12 @@ def _nearest(
     differ, left = changes_of(leg, leg.size), np.full(len(matrices), np.nan)
     free = replace(unknowns([leg]), priors=differ)
     every, conditions = np.ones(len(rows), dtype=bool), nominal.conditions
-    system = System(problem, free, every, known=True, loss=LOSSES["huber"])
+    system = System(problem, free, every, known=True, robust=True)
     with np.errstate(all="ignore"):
         for _ in range(_STEPS):
-            weights, scale = system.weights((nominal.whitened(conditions) ** 2).sum(axis=1))
-            scaled = system.with_priors(differ / scale)
-            step = NormalEquations.of(scaled.triangle(nominal, weights)).step()
+            squares = (nominal.whitened(conditions) ** 2).sum(axis=1)
+            scaled = system.with_priors(differ / system.scale(squares))
+            step = NormalEquations.of(scaled.triangle(nominal, system.weights(squares))).step()
             step /= max(1.0, float(np.abs(step / differ).max(initial=0.0)))
             conditions = nominal.after(step)
         left[rows] = _missed(conditions) / leg.size

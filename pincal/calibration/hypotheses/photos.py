@@ -17,7 +17,7 @@ from pincal.calibration.fits import Fits, fitted, with_misfit_as_noise
 from pincal.errors import MisfitError, PincalError
 from pincal.estimation.observability.residuals import Residuals
 from pincal.estimation.solver import solve_poses
-from pincal.estimation.system import FALSE_ALARM, LOSSES, robust_scale, suspected
+from pincal.estimation.system import FALSE_ALARM, cauchy, robust_scale, suspected
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.instruments.camera import Camera, Markers
@@ -249,7 +249,7 @@ def without_false_points(calibration: Calibration) -> Calibration:
         squares, two = missed.sum(axis=2)[measured], np.full(int(measured.sum()), 2)
         scale = robust_scale(squares, two, 1.0)
         squares = squares / max(scale, 1.0 if judged.noise.known else scale) ** 2
-        weights[measured], before = LOSSES["cauchy"].weights(squares, two), false.copy()
+        weights[measured], before = cauchy(squares, two), false.copy()
         false[measured] = suspected(squares, two)
         if near is not None and (false == before).all():
             break

@@ -260,7 +260,7 @@ def check_rank(
             "the search ran away: the measurements determine the parameters at their nominal "
             f"values, but not where it ended ({total.describe()}). They are hardly this machine's: "
             "check signs, units, the order of the readings, the frame of the poses, and rows that "
-            "are far off (--loss cauchy)"
+            "are far off (--loss reject)"
             if ended
             else f"the measured poses leave parameters undetermined: {total.describe()} "
             f"(rank {total.rank} of {total.n_params}). Measure poses that separate them, fix "

@@ -1,9 +1,9 @@
 """Expected residuals of a fit, and tests of them for errors that a model lacks.
 
-With white rows ρ and the estimate δz = −B Σ s Jᵀ ρ (``Fit``), the residuals are r = ρ − J B Σ s
-Jᵀ ρ. For least squares cov r = M = 1 − H, H = J (JᵀJ)⁻¹ Jᵀ = Q Qᵀ with J = Q R: a residual has the
-variance σ² (1 − h), where h is its leverage. The share of a measured quantity's noise that remains
-is its redundancy number (W. Baarda, A testing procedure for use in geodetic networks, 1968).
+White rows ρ leave the residuals r = M ρ, M = 1 − H, H = J (JᵀJ)⁻¹ Jᵀ = Q Qᵀ with J = Q R: a
+residual has the variance σ² (1 − h), where h is its leverage. The share of a measured quantity's
+noise that remains is its redundancy number (W. Baarda, A testing procedure for use in geodetic
+networks, 1968).
 Conditions follow from white rows, e = −S ν = S Wᵀ r, which includes the effect of unknown poses.
 
 An error b(n) of a measured quantity appears in the white rows as W = L⁻¹Nᵀ s b, where s is the
@@ -80,13 +80,12 @@ def remaining_variances(fit: Fit, follows: Array) -> Array:
     Each is the variance of the modelled noise and of the estimate, less twice their covariance.
     ``follows`` is c, shape (N, q, k).
     """
-    J, W = fit.last.jacobian @ (fit.unknowns.map @ fit.root), fit.last.white.by_noise
+    J, W = fit.last.jacobian @ fit.root, fit.last.white.by_noise
     c = product(follows, fit.last.white.back)  # by the rows
     noise, taken = product(c, W), product(c, J)
     gained = product(product(noise, W.transpose(0, 2, 1)), J)
-    mixed = fit.slopes[:, None] * (taken * gained).sum(axis=2)
-    of_estimate = (taken @ fit.meat_in_root * taken).sum(axis=2)
-    return np.asarray((noise**2).sum(axis=2) - 2.0 * mixed + of_estimate)
+    mixed = fit.good[:, None] * (taken * gained).sum(axis=2)
+    return np.asarray((noise**2).sum(axis=2) - 2.0 * mixed + (taken**2).sum(axis=2))
 
 
 def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
