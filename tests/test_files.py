@@ -222,21 +222,18 @@ def test_names_in_written_files_are_of_one_frame_each(sample: pincal.Mechanism) 
         assert [model.getFrameId(name) for name in names] == list(range(len(names)))
 
 
-def test_written_legs_load_elsewhere_with_visuals(sample: pincal.Mechanism, tmp_path: Path) -> None:
-    """The URDF files load in Pinocchio and yourdfpy, every link with a visual."""
+def test_written_legs_load_elsewhere(sample: pincal.Mechanism, tmp_path: Path) -> None:
+    """The URDF files load in Pinocchio and yourdfpy, with all joints and links by name."""
     saved = sample.save(tmp_path / "m")
     for leg in sample.legs:
         path = str(saved / f"{leg.name}.urdf")
         model = pin.buildModelFromUrdf(path)
         assert list(model.names)[1:] == [joint.name for joint in leg.moving]
-        shapes = pin.buildGeomFromUrdf(model, path, pin.GeometryType.VISUAL)
         robot = yourdfpy.URDF.load(path)
         assert robot.actuated_joint_names == [joint.name for joint in leg.moving]
         assert len(robot.robot.links) == len(leg.joints) + 1
         names = [*(joint.name for joint in leg.joints), *(link.name for link in robot.robot.links)]
         assert all(model.getFrameId(name) < model.nframes for name in names)  # each name one frame
-        assert all(link.visuals for link in robot.robot.links)
-        assert shapes.ngeoms == sum(len(link.visuals) for link in robot.robot.links)
 
 
 def test_platform_loads_elsewhere_with_its_points(sample: pincal.Mechanism, tmp_path: Path) -> None:
@@ -245,7 +242,6 @@ def test_platform_loads_elsewhere_with_its_points(sample: pincal.Mechanism, tmp_
     for leg in sample.legs:
         origin = robot.get_transform(f"{leg.point.name}_link", "platform")
         np.testing.assert_allclose(origin, leg.point.placement.origin(), atol=1e-15)
-    assert all(link.visuals for link in robot.robot.links)
 
 
 def test_legs_share_no_platform_point_with_parameters() -> None:
@@ -559,7 +555,7 @@ def test_yaml_aliases_do_not_explode(key: str, folder: Path) -> None:
     assert memory_of_failure(folder) < 2e6
 
 
-@pytest.mark.parametrize("place", ['xyz="1.5 0.0 0.0"', '<link name="leg_1_tip">'])
+@pytest.mark.parametrize("place", ['xyz="1.5 0.0 0.0"', '<joint name="elbow" type="revolute">'])
 def test_urdf_entities_do_not_explode(place: str, folder: Path) -> None:
     """Entities that stand for ten billion characters are refused without being written out."""
     entities = '<!ENTITY l0 "1.5">' + "".join(

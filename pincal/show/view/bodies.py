@@ -1,29 +1,27 @@
 """A mechanism as moving parts: shapes of its links, and their placements at every pose.
 
-Parts are the links of the exported URDFs, and shapes that rigid links cannot show: cylinder and
-piston of a prismatic joint (a thin cable for joints called ``line`` or ``cable``), as long as the
-joint's motion, and plates. Placements of a leg's links are NaN where it does not reach the pose.
+Parts are the links of legs, and shapes that rigid links cannot show: cylinder and piston of a
+prismatic joint (a thin cable for joints called ``line`` or ``cable``), as long as the joint's
+motion, and plates. Placements of a leg's links are NaN where it does not reach the pose.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from lxml import etree
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.kinematics.configurations import as_plan, joints_at
-from pincal.model import Leg, Mechanism, Plan
+from pincal.model import Joint, Leg, Mechanism, Plan
 from pincal.show.style import ACTIVE, DIMENSION
 from pincal.types import Array
 
 GREY, PALE = "#595959", "#9aa0a6"
-_COLOURS = {"orange": ACTIVE, "blue": PALE, "grey": GREY}  # by materials in URDFs
 _CABLES = ("line", "cable")
+_ORIGIN = np.zeros(3)
 _FLAT = 1e-6  # thickness over size of points that count as a plane or a line
 
 
@@ -46,14 +44,8 @@ class Shape(NamedTuple):
 def rod(begin: Array, end: Array, radius: float, colour: str) -> Shape:
     """Return a cylinder between two points, shape (3,) each, [m]."""
     along = end - begin
-    length = float(np.linalg.norm(along))
-    T = np.eye(4)
-    T[:3, 2] = along / length
-    first = np.cross(T[:3, 2], np.eye(3)[int(np.argmin(np.abs(along)))])
-    T[:3, 0] = first / np.linalg.norm(first)
-    T[:3, 1] = np.cross(T[:3, 2], T[:3, 0])
-    T[:3, 3] = (begin + end) / 2
-    return Shape("cylinder", (radius, length), T, colour)
+    size = radius, float(np.linalg.norm(along))
+    return Shape("cylinder", size, _placed((begin + end) / 2, along), colour)
 
 
 def plate(points: Array, thickness: float) -> tuple[Shape, ...]:
@@ -84,23 +76,25 @@ def _principal(points: Array) -> tuple[Array, Array]:
     return np.concatenate((sizes, np.zeros(3)))[:3], axes
 
 
-def _urdf_shapes(text: str) -> list[tuple[Shape, ...]]:
-    """Return the visuals of a URDF that pincal wrote, by link; drives have their own colour."""
-    robot: Any = etree.fromstring(text.encode())
-    links = []
-    for link in robot.iter("link"):
-        shapes = []
-        for visual in link.iter("visual"):
-            (geometry,) = visual.find("geometry")
-            size = [float(word) for value in geometry.attrib.values() for word in value.split()]
-            T, origin = np.eye(4), visual.find("origin")
-            if origin is not None:
-                xyz, rpy = ([float(v) for v in origin.get(key).split()] for key in ("xyz", "rpy"))
-                T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
-            colour = _COLOURS[visual.find("material").get("name")]
-            shapes.append(Shape(geometry.tag, tuple(size), T, colour))
-        links.append(tuple(shapes))
-    return links
+def _placed(place: Array, along: Array) -> Array:
+    """Return the pose of a shape at a place, with its z axis along a vector, shape (4, 4)."""
+    (x, y, z), T = along, np.eye(4)
+    turn = Rotation.from_euler("yz", (np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)))
+    T[:3, :3], T[:3, 3] = turn.as_matrix(), place
+    return T
+
+
+def _link(joint: Joint, size: float) -> tuple[Shape, ...]:
+    """Return the rod on a link to a joint; none to a joint at the link's origin."""
+    end = np.array(joint.placement.xyz)
+    return () if np.allclose(end, 0.0) else (rod(_ORIGIN, end, size / 2, GREY),)
+
+
+def _size(leg: Leg) -> float:
+    """Return a radius for joints, 3 % of the longest link or half stroke, to two digits, [m]."""
+    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints[1:]]
+    lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
+    return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
 
 
 PISTON = "#b9bec5"
@@ -189,15 +183,18 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
             add(f"leg {number}/link {place + 1}", link_shapes, links[:, place])
         for path, shape, placement in _pistons(leg, joints, links, radius):
             add(f"leg {number}/{path}", (shape,), placement)
-    (hub, *arms), *balls = _urdf_shapes(platform_urdf(mechanism.name, mechanism.legs))
-    points = {point.name: point.placement for leg in mechanism.legs for point in leg.points}
-    radius, size = hub.size
-    solid = plate(np.array([placement.xyz for placement in points.values()]), 0.7 * size)
+    points = {point.name: point for leg in mechanism.legs for point in leg.points}.values()
+    size = max(map(_size, mechanism.legs))
+    radius = 1.5 * size
+    hub = Shape("cylinder", (radius, size), np.eye(4), GREY)
+    arms = [arm for point in points for arm in _link(point, size)]
+    solid = plate(np.array([point.placement.xyz for point in points]), 0.7 * size)
     ends = 5.0 * radius * np.eye(3)
-    axes = tuple(rod(np.zeros(3), end, 0.1 * radius, DIMENSION) for end in ends)
+    axes = tuple(rod(_ORIGIN, end, 0.1 * radius, DIMENSION) for end in ends)
     add("platform/body", (hub, *(solid or arms), *axes), T_base_platform)
-    for number, (point, ball) in enumerate(zip(points.values(), balls, strict=True), 1):
-        add(f"platform/point {number}", ball, T_base_platform @ point.origin())
+    ball = (Shape("sphere", (1.2 * size,), np.eye(4), GREY),)
+    for number, point in enumerate(points, 1):
+        add(f"platform/point {number}", ball, T_base_platform @ point.placement.origin())
     feet = np.array([leg.joints[0].placement.xyz for leg in mechanism.legs])
     add("base/frame", frame(feet, 0.25 * size), np.eye(4))
     add("base/axes", axes, np.eye(4))
@@ -210,14 +207,28 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
 
 
 def _leg_shapes(leg: Leg) -> list[tuple[Shape, ...]]:
-    """Return the shapes of a leg's links, base first; cylinders or winches drive sliders."""
-    links = _urdf_shapes(leg_urdf(leg))
-    for place, joint in enumerate(leg.joints, 1):
-        if joint.kind == "prismatic" and (joint.home or joint.name in _CABLES):
-            block, *others = links[place]
-            links[place] = (block._replace(colour=PALE), *others)
+    """Return the shapes of a leg's links, base first: a foot, joints, and rods to the next joints.
+
+    Cylinders or winches drive sliders.
+    """
+    size, read = _size(leg), {sensor.joint for sensor in leg.sensors}
+    foot = _placed(np.array(leg.joints[0].placement.xyz), np.eye(3)[2])
+    links: list[tuple[Shape, ...]] = [(Shape("box", (3 * size, 3 * size, size), foot, GREY),)]
+    for joint, carrier in zip(leg.joints, leg.carriers, strict=True):
+        if carrier >= 0:
+            links[carrier + 1] += _link(joint, size)
+        place = _placed(_ORIGIN, np.array(joint.axis))
+        colour = ACTIVE if joint.name in read else PALE
+        if joint.kind == "revolute":
+            shape = Shape("cylinder", (size, 3 * size), place, colour)
+        elif joint.kind == "prismatic":
             if joint.name in _CABLES:
-                links[0] = (links[0][0]._replace(colour=block.colour),)
+                links[0] = (links[0][0]._replace(colour=colour),)
+            driven = joint.home or joint.name in _CABLES
+            shape = Shape("box", (2 * size, 2 * size, 4 * size), place, PALE if driven else colour)
+        else:
+            shape = Shape("sphere", (size,), np.eye(4), PALE)
+        links.append((shape,))
     return links
 
 
@@ -253,5 +264,5 @@ def _pistons(
             T_slider_zero = np.tile(np.eye(4), (len(strokes), 1, 1))
             T_slider_zero[:, :3, 3] = -strokes[:, None] * axis
             colour = ACTIVE if joint.name in read else GREY
-            outer = rod(np.zeros(3), inside * axis, 0.8 * radius, colour)
+            outer = rod(_ORIGIN, inside * axis, 0.8 * radius, colour)
             yield f"cylinder {place + 1}", outer, links[:, place] @ T_slider_zero
