@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 262,
     "architectures": 616,
-    "calibration": 6_915,
+    "calibration": 6_919,
     "cli": 2_697,
     "design": 2_558,
     "estimation": 4_398,
@@ -26,7 +26,7 @@ LINES = {
     "model": 3_562,
     "show": 4_062,
     "symmetry": 1_306,
-    "words": 956,
+    "words": 958,
     "workspace": 1_492,
 }
 """Most lines of each room; a room that is not listed may have none."""

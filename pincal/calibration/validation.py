@@ -126,12 +126,16 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and open_ends[0]
     strays = _stray_rows(fits, predicted, sums, unit, rows, variances) if may_be_wrong else []
-    kind = KINDS[count > 1]
-    # rows of one fold may spoil the fit of all
-    decisive = (of_all, of_folds[int(np.argmin(chances))])[error <= expected]
-    shown = _held_out_and_expected(decisive, unit)
+    worst = int(np.argmin(chances))
+    of_worst = _held_out_and_expected(of_folds[worst], unit)
     worse = finding(
-        "held-out-worse", kind=kind, held_out=shown[0], expected=shown[1], p_value=p_value
+        "held-out-worse",
+        kind=KINDS[count > 1],
+        fold=worst + 1,
+        folds=count,
+        held_out=of_worst[0],
+        expected=of_worst[1],
+        p_value=p_value,
     )
     places = np.array(clusters(calibration.measurements))
     validation = Validation(

@@ -104,8 +104,10 @@ FINDINGS: dict[str, Wording] = {
         title="many rows do not fit",
     ),
     "held-out-worse": Wording(
-        "{kind|default('held-out')} rows miss by {held_out|f(2)} σ where {expected|f(2)} σ is "
-        "expected ({p_value|chance}): the model fits its own rows better than the machine",
+        "{kind|default('held-out')} rows"
+        "{' (fold ' ~ fold ~ ' of ' ~ folds ~ ')' if folds|default(1) > 1} miss by "
+        "{held_out|f(2)} σ where {expected|f(2)} σ is expected ({p_value|chance}): the model fits "
+        "its own rows better than the machine",
         "Measure more poses, or hold parameters (--fixed)",
         title="rows that were held out miss by more than expected",
     ),
