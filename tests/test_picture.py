@@ -198,7 +198,7 @@ def test_planar_mechanisms_are_seen_from_above() -> None:
 
 
 def test_poses_sets_and_result_are_in_the_picture() -> None:
-    """Ghosts by set with their counts, the identified machine with its factor."""
+    """Dots by set with their counts, the identified machine with its factor."""
     mechanism = pincal.load_mechanism("3RRR")
     poses = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.1], [0.0, 0.1, 0.0]]
     plan = pincal.Plan(np.array(poses), ("leg_1", "leg_2", "leg_1"))

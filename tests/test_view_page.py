@@ -369,7 +369,7 @@ def test_a_dot_says_which_pose_it_is_and_leads_there(opened: Any) -> None:
 
 
 def test_layers_and_sets_can_be_hidden(opened: Any) -> None:
-    """Check boxes hide what they name; ghosts are there on demand; sets have their legs' names."""
+    """Check boxes hide what they name; sets have their legs' names."""
     mechanism, poses = plan("3RRR")
     true = pincal.disturb(mechanism, 1e-3, seed=1)
     view = pincal.view(mechanism, poses, identified=true, magnify=30)
@@ -379,7 +379,6 @@ def test_layers_and_sets_can_be_hidden(opened: Any) -> None:
         return bool(window.page.evaluate(_MATRICES, [f"meshcat/{path}"])[0])
 
     for label, path, shown in (
-        ("poses, as ghosts", "ghosts", False),
         ("poses, as dots", "sets", True),
         ("identified, errors × 30", "identified", True),
         ("leg_1, 3 poses", "sets/1", True),

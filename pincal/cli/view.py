@@ -117,8 +117,8 @@ def view(
     calibrated machine is shown as the nominal model drives it, with magnified errors; arrows lead
     from measured to predicted points. The page is served to this machine alone, until Ctrl-C.
 
-    A picture shows the mechanism at home, or at the first pose of POSES.csv, and all poses as faint
-    lines in the colours of their sets. The same picture gives the same bytes.
+    A picture shows the mechanism at home, or at the first pose of POSES.csv, and all poses as dots
+    in the colours of their sets. The same picture gives the same bytes.
     """
     suffix = ".html" if output is None else output.suffix.lower()
     if suffix not in (*_PAGES, ".svg", ".png", ".pdf"):

@@ -34,7 +34,7 @@ from pincal.words.wording import clean
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture of a scene: the mechanism at the first pose, all other poses as faint lines."""
+    """A picture of a scene: the mechanism at the first pose, all poses as dots."""
 
     scene: Scene
 
@@ -47,7 +47,7 @@ class Picture:
         axes.add_collection(LineCollection(lines, colors=ground.colour, lw=0.5, zorder=0))
         legend = [Line2D([], [], color=ground.colour, lw=0.8, label=ground.name)]
         if len(scene.plan.poses) > 1:
-            legend += _ghosts(axes, scene)
+            legend += _dots(axes, scene)
         paint(axes, scene.body.shapes, V)
         if scene.magnified:
             paint(axes, scene.magnified.shapes, V, style.IDENTIFIED)
@@ -111,7 +111,7 @@ def picture(
     Args:
         mechanism: The mechanism, at its nominal parameters.
         poses: Poses as for ``view``; home if not given. The mechanism is drawn at the first pose,
-            the others are faint lines, coloured by set.
+            all are dots, coloured by set.
         identified: The calibrated mechanism, drawn over the nominal one.
         magnify: Factor on the differences between identified and nominal parameters; if not given,
             one that makes errors visible and lets the mechanism assemble at every pose.
@@ -137,20 +137,14 @@ _LETTERING: dict[str, Any] = {
 _LINE = 75  # letters in a line of the legend
 
 
-def _ghosts(axes: Axes, scene: Scene) -> list[Line2D]:
-    """Draw all poses as faint lines from joint to joint, by set, and return their legend."""
-    V = scene.axes[:2].T
-    faint = float(np.clip(8 / len(scene.plan.poses), 0.12, 0.5))
+def _dots(axes: Axes, scene: Scene) -> list[Line2D]:
+    """Draw the positions of all poses as dots, by set, and return their legend."""
     legend = []
-    for (name, colour, points, lines), marker in zip(
-        scene.by_set(), cycle(style.MARKERS), strict=False
-    ):
-        ghosts = LineCollection(list(lines @ V), colors=colour, lw=0.7, alpha=faint, zorder=0.5)
-        ghosts.set_rasterized(len(lines) > style.RASTER_FROM)  # a vector picture stays small
-        axes.add_collection(ghosts)
-        axes.plot(*(points @ V).T, marker, ms=3, color=colour, zorder=0.6)
+    for layer, marker in zip(scene.dots(), cycle(style.MARKERS), strict=False):
+        points, name = layer.points @ scene.axes[:2].T, layer.name
+        axes.plot(*points.T, marker, ms=3, color=layer.colour, zorder=8)
         owner = f" for {shortened(name)}" if name not in ("", EVERY_LEG) else ""
-        legend.append(_dot(colour, f"{counted(len(points), 'pose')}{owner}", marker))
+        legend.append(_dot(layer.colour, f"{counted(len(points), 'pose')}{owner}", marker))
     return legend
 
 

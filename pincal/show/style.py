@@ -55,7 +55,6 @@ DARK = {
 #: Backgrounds of pages, light and dark, and colours of text on them.
 PAPER, INK = ("#ffffff", "#16191d"), ("#222222", "#e8e8e8")
 PAGE_WIDTH = 170.0  # width of a figure across a page, [mm]
-RASTER_FROM = 1500  # points; more are drawn as pixels, so that a vector picture stays small
 
 
 def leg_colour(index: int) -> str:

@@ -58,10 +58,10 @@
       body.objects[part].add(solid);
     }));
   }
-  for (const { path, points, colour, pixels, opacity } of data.still) {
+  for (const { path, points, colour, pixels } of data.still) {
     const geometry = new THREE.BufferGeometry().setAttribute("position", corners(points));
     const dots = pixels && new THREE.PointsMaterial({ color: colour, size: pixels, sizeAttenuation: false });
-    const lines = new THREE.LineBasicMaterial(look(colour, opacity));
+    const lines = new THREE.LineBasicMaterial(look(colour, 1));
     node(path).object.add(dots ? new THREE.Points(geometry, dots) : new THREE.LineSegments(geometry, lines));
   }
   ["Grid", "Axes"].forEach((path) => setVisible(path, false)); // meshcat's own
@@ -190,14 +190,14 @@
   data.sets.forEach((set, index) => {
     const count = data.set.filter((own) => own === index).length;
     const name = set.name === "all" ? "for every leg, " : set.name && `${set.name}, `;
-    const change = (on) => ["sets", "ghosts"].forEach((layer) => setVisible(`meshcat/${layer}/${index + 1}`, on));
+    const change = (on) => setVisible(`meshcat/sets/${index + 1}`, on);
     checkbox(find("sets"), `${name}${count} ${count === 1 ? "pose" : "poses"}`, true, change, set.colour);
   });
   const boxes = {};
   data.panel.forEach(({ path, name, colour, scale }) => {
     const others = () => data.panel // shown magnified otherwise
       .filter((other) => scale !== 1 && ![1, scale].includes(other.scale) && boxes[other.path]?.checked);
-    boxes[path] = checkbox(find("layers"), name, path !== "meshcat/ghosts" && !others().length, (on) => {
+    boxes[path] = checkbox(find("layers"), name, !others().length, (on) => {
       setVisible(path, on);
       if (on) others().forEach((other) => boxes[other.path].click());
     }, colour);

@@ -114,8 +114,6 @@ class Body:
     """``T_base_part``, shape (N, n_parts, 4, 4), [m]; NaN where a part is not drawn."""
     chains: tuple[tuple[int, ...], ...]
     """For each leg, the indices of its moving links among the parts, from the base on."""
-    legs: tuple[Leg, ...]
-    """Legs of the mechanism."""
     readings: Array
     """Sensor readings, shape (N, n_readings), [rad] or [m]; NaN where not reached."""
     problems: tuple[str, ...]
@@ -134,16 +132,6 @@ class Body:
     def axis(self) -> float:
         """Length of the axes of a frame, [m]."""
         return self.parts["base/axes"][0].size[1]
-
-    def skeletons(self) -> Array:
-        """Return segments from joint to joint and tip to platform, shape (N, n, 2, 3), [m]."""
-        platform, pairs = self.part("platform/body"), []
-        for links, leg in zip(self.chains, self.legs, strict=True):
-            pairs += [
-                (links[c], link) for link, c in zip(links, leg.carriers, strict=True) if c >= 0
-            ]
-            pairs += [(links[leg.index(end.tip)], platform) for end in leg.every_end if end.point]
-        return self.placements[:, :, :3, 3][:, np.array(pairs)]
 
     @property
     def shapes(self) -> list[tuple[Shape, Array]]:
@@ -201,9 +189,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
     problems = tuple(solution.reason(row) for row in range(len(T_base_platform)))
     T_base_part = np.stack(placements, axis=1)
     T_base_part[~np.isfinite(T_base_part).all(axis=(2, 3))] = np.nan
-    return Body(
-        parts, T_base_part, tuple(chains), mechanism.legs, np.array(solution.readings), problems
-    )
+    return Body(parts, T_base_part, tuple(chains), np.array(solution.readings), problems)
 
 
 def _leg_shapes(leg: Leg) -> list[tuple[Shape, ...]]:

@@ -26,28 +26,25 @@ from pincal.words.wording import clean, rendered
 
 #: Range of sliders to each side, over the scene's size, and [rad].
 _SLIDER_RANGE = {"m": 0.25, "rad": 0.5}
-_SEEN_THROUGH = 0.45  # opacity of the identified machine and of ghosts
+_SEEN_THROUGH = 0.45  # opacity of the identified machine
 
 
 def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> str:
     """Return the page of a scene.
 
     The viewer's tree has below ``meshcat``: ``mechanism`` and ``identified`` with their parts
-    (``Body.parts``); ``sets/1`` and ``ghosts/1`` for the first set and so on; and the layers.
+    (``Body.parts``); ``sets/1`` for the first set and so on; and the layers.
 
     Notices are shown first. A page that is ``served`` can ask for the scene at other poses
     (``answer``).
     """
-    names = list(dict.fromkeys(scene.sets))
+    dots = scene.dots()
+    names = [layer.name for layer in dots]
     points = [scene.points(), *(layer.points.reshape(-1, 3) for layer in scene.layers)]
     every, ground = np.concatenate(points), scene.ground()
     distances = np.linalg.norm(every - np.clip(every, *scene.bounds()), axis=1)
     near = every[distances <= scene.size] @ scene.axes.T  # the view is not fitted to farther points
     low, high = near.min(axis=0), near.max(axis=0)
-    still = [_still(layer) for layer in (ground, *scene.layers)]
-    for number, (name, colour, positions, lines) in enumerate(scene.by_set(), 1):
-        still.append(_still(Layer(f"sets/{number}", name, positions, colour, 6)))
-        still.append(_still(Layer(f"ghosts/{number}", name, lines, colour), _SEEN_THROUGH))
     data = {
         "notices": list(notices),
         "name": scene.mechanism.name,
@@ -56,7 +53,7 @@ def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> 
         "centre": ((low + high) / 2 @ scene.axes).tolist(),
         "half": ((high - low) / 2).tolist(),
         "grid": ground.name,
-        "still": still,
+        "still": [_still(layer) for layer in (ground, *scene.layers, *dots)],
         "bodies": [
             {
                 "name": root,
@@ -68,7 +65,7 @@ def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> 
             }
             for root, body in _bodies(scene).items()
         ],
-        "sets": [{"name": name, "colour": scene.colour(name)} for name in names],
+        "sets": [{"name": layer.name, "colour": layer.colour} for layer in dots],
         "set": [names.index(name) for name in scene.sets],
         "misses": _or_null(1e3 * scene.misses) if scene.misses is not None else None,
         "rows": _rows(scene),
@@ -150,13 +147,12 @@ def _shapes(body: Body, colour: str) -> list[list[dict[str, Any]]]:
     ]
 
 
-def _still(layer: Layer, opacity: float = 1.0) -> dict[str, Any]:
+def _still(layer: Layer) -> dict[str, Any]:
     return {
         "path": f"meshcat/{layer.path}",
         "points": _packed(layer.points),
         "colour": layer.colour,
         "pixels": layer.pixels if layer.points.ndim == 2 else 0,
-        "opacity": opacity,
     }
 
 
@@ -226,7 +222,7 @@ def _panel(scene: Scene) -> list[dict[str, Any]]:
     if scene.identified:
         name = f"identified, errors × {scene.magnify:,g}"
         lines.append(("identified", name, IDENTIFIED, scene.magnify))
-    lines += [("sets", "poses, as dots", "", 1.0), ("ghosts", "poses, as ghosts", "", 1.0)]
+    lines.append(("sets", "poses, as dots", "", 1.0))
     lines += [(layer.path, layer.name, layer.colour, layer.scale) for layer in scene.layers]
     lines += [("mechanism/base/axes", "base frame", "", 1.0), ("grid", "grid", "", 1.0)]
     return [

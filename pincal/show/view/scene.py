@@ -3,7 +3,6 @@
 A scene consists of moving parts (``bodies``) and of layers of static dots and lines.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -87,14 +86,13 @@ class Scene:
         right /= np.linalg.norm(right)
         return np.stack((right, np.cross(towards, right), towards))
 
-    def by_set(self) -> Iterator[tuple[str, str, Array, Array]]:
-        """Yield name, colour, positions (n, 3) and legs' segments (k, 2, 3) of each set, [m]."""
-        positions, skeletons = self.body.platform[:, :3, 3], self.body.skeletons()
-        for name in dict.fromkeys(self.sets):
-            in_set = np.array(self.sets) == name
-            lines = skeletons[in_set].reshape(-1, 2, 3)
-            drawn = np.isfinite(lines).all(axis=(1, 2))
-            yield name, self.colour(name), positions[in_set], lines[drawn]
+    def dots(self) -> list[Layer]:
+        """Return the positions of the platform as dots, a layer for each set."""
+        positions, sets = self.body.platform[:, :3, 3], np.array(self.sets)
+        return [
+            Layer(f"sets/{number}", name, positions[sets == name], self.colour(name), pixels=6)
+            for number, name in enumerate(dict.fromkeys(self.sets), 1)
+        ]
 
     def colour(self, name: str) -> str:
         """Return the colour of a set: its leg's, or dark for the poses of every leg."""
