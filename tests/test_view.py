@@ -267,7 +267,7 @@ def test_view_refuses_what_it_cannot_show() -> None:
         ("0 poses", {"poses": np.empty((0, 3))}),
         ("2001 poses", {"poses": np.zeros((2001, 3))}),
         ("shape", {"poses": [[0.0, 0.0]]}),
-        ("1 of 2 poses are not whole", {"poses": [[0.0, 0.0, np.nan], home[0]]}),
+        ("1 of 2 rows have no whole pose", {"poses": [[0.0, 0.0, np.nan], home[0]]}),
         ("shape", {"poses": [0.0, 0.0, 0.0]}),
         ("other legs", {"poses": home, "identified": other}),
         ("above 0", {"poses": home, "identified": mechanism, "magnify": 0.0}),
@@ -343,8 +343,10 @@ def test_wrong_input_leaves_nothing(
 
 
 @pytest.mark.slow
-def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: Path) -> None:
-    """Whole rows are drawn and the others told; a latent fit's result gives the poses of all."""
+def test_poses_in_part_are_shown_by_the_result_that_estimates_them(
+    work: Path, tmp_path: Path
+) -> None:
+    """Rows without a whole pose are refused by their line; a latent fit's result gives all."""
     lines = (work / "measured.csv").read_text().splitlines()
     cells = [line.split(",") for line in lines]
     phi, count = [head.split()[0] for head in cells[0]].index("phi"), len(cells) - 1
@@ -357,22 +359,20 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
         (tmp_path / f"{name}.csv").write_text(text + "\n")
     page = tmp_path / "view.html"
 
-    outcome = done("view", "3RRR", tmp_path / "holes.csv", "-o", page)
-    lacking = f"{-(-count // 2)} of {count} rows have no whole pose, the first is line 2"
-    assert f"{lacking}, without phi" in outcome.err
-    assert outcome.err.count("columns not used: humidity") == 1
-    assert len(shown_poses(page)) == count // 2
-    refused = run("view", "3RRR", tmp_path / "gone.csv", "-o", page, "--force")
-    assert refused.code == 2
-    assert f"{count} of {count} rows have no whole pose" in refused.err
-    assert "RESULT in place of the measurements" in refused.err
+    for name, lacking in (("holes", -(-count // 2)), ("gone", count)):
+        refused = run("view", "3RRR", tmp_path / f"{name}.csv", "-o", page)
+        assert refused.code == 2
+        words = f"{lacking} of {count} rows have no whole pose, the first is line 2, without phi"
+        assert words in refused.err
+        assert "show the RESULT of a calibration" in refused.err
+        assert refused.err.count("columns not used: humidity") == 1
 
     fit = ["--noise-position", 1e-5, "--folds", 0, "--no-report"]
     done("calibrate", "3RRR", tmp_path / "gone.csv", *fit, "-o", tmp_path / "latent")
     estimated = pincal.Plan.from_csv(
         tmp_path / "latent" / "poses.csv", pincal.load_mechanism("3RRR")
     ).poses
-    done("view", "3RRR", tmp_path / "latent", "-o", page, "--force")
+    done("view", "3RRR", tmp_path / "latent", "-o", page)
     assert np.allclose(shown_poses(page), estimated, atol=2e-6)
 
 

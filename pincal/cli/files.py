@@ -40,10 +40,6 @@ INPUTS: dict[str, InputFormat] = {
     ".xml": "mjcf",
     ".mjcf": "mjcf",
 }
-#: Suffixes of files that must be converted first, with what they are.
-_TO_CONVERT = {
-    ".xacro": f"a file of macros, which xacro expands to URDF: {XACRO}",
-}
 _TREES = ("urdf", "sdf", "mjcf")  # formats of any mechanism; the others are printers'
 
 
@@ -101,8 +97,8 @@ def import_(
         such_as = f", such as {known[0]}" if known else ""
         raise FileError(f"{file} is a folder; name the file to read{such_as}")
     suffix = file.suffix.lower()
-    if options.format is None and suffix in _TO_CONVERT:
-        raise FileError(f"{file} is {_TO_CONVERT[suffix]}")
+    if options.format is None and suffix == ".xacro":
+        raise FileError(f"{file} is a file of macros, which xacro expands to URDF: {XACRO}")
     form = options.format or INPUTS.get(suffix)
     if form is None:
         raise FileError(

@@ -9,23 +9,20 @@ from pathlib import Path
 from threading import Event
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from matplotlib.figure import Figure
 
 import pincal
 from pincal import CalibrationResult, FileError, MeasurementError, Mechanism, MechanismError, Plan
-from pincal.cli.app import command, say, stderr, warn, working, wrote
+from pincal.cli.app import command, say, stderr, working, wrote
 from pincal.cli.options import Force, Mech, output_option
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import is_folder
 from pincal.files.output import refuse_existing
 from pincal.files.table import read_table
-from pincal.model.checks import listed
 from pincal.show.charts import Plots
 from pincal.show.style import PAGE_WIDTH, drawing, picture_path, save_figure
 from pincal.show.view.scene import Scene
-from pincal.types import Mask
 
 Shown = Annotated[
     Path | None,
@@ -59,35 +56,24 @@ def _read(mech: str, shown: Path | None) -> tuple[dict[str, Any], CalibrationRes
 
 
 def _plan(table: Path, mechanism: Mechanism) -> Plan:
-    """Return the complete poses of a table.
+    """Return the poses of a table; those of arms follow from its readings, if it has any.
 
     Raises:
-        MeasurementError: no row holds a complete pose.
+        MeasurementError: no readings belong to a pose.
     """
     has_readings = set(mechanism.reading_names) <= set(read_table(table).units)
     measured = has_readings and not mechanism.by_readings
     read: Callable[..., Plan] = read_measurements if measured else read_poses
     plan = read(table, mechanism, partial=True)
-    if mechanism.by_readings and plan.readings is not None:  # readings determine the pose
-        held = mechanism.constraints >= mechanism.platform.dof
-        solution = pincal.forward(mechanism, plan.readings, None if held else plan.poses)
-        if not solution.converged.any():
-            raise MeasurementError(
-                f"{table}: {solution.reasons[0]} at {plan.place(0)}, and at all others"
-            )
-        return replace(plan, poses=solution.poses).rows(solution.converged)
-    complete: Mask = np.isfinite(plan.poses).all(axis=1).astype(bool)
-    if not complete.all():
-        advice = "pincal calibrate estimates them: show its RESULT in place of the measurements"
-        first, names = int(np.argmin(complete)), np.array(mechanism.platform.coordinates)
-        missing = (
-            f"{table}: {np.sum(~complete)} of {len(complete)} rows have no whole pose, the first "
-            f"is {plan.place(first)}, without {listed(names[np.isnan(plan.poses[first])])}"
+    if not mechanism.by_readings or plan.readings is None:
+        return plan
+    held = mechanism.constraints >= mechanism.platform.dof
+    solution = pincal.forward(mechanism, plan.readings, None if held else plan.poses)
+    if not solution.converged.any():
+        raise MeasurementError(
+            f"{table}: {solution.reasons[0]} at {plan.place(0)}, and at all others"
         )
-        if not complete.any():
-            raise MeasurementError(f"{missing}. {advice}")
-        warn(f"{missing}; only the others are drawn. {advice}")
-    return plan.rows(complete)
+    return replace(plan, poses=solution.poses).rows(solution.converged)
 
 
 _PAGES = (".html", ".htm")

@@ -155,11 +155,13 @@ def scene(
         raise MeasurementError(
             f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}"
         )
-    if not np.isfinite(plan.poses).all():
+    if (lacking := ~np.isfinite(plan.poses)).any():
+        rows = np.flatnonzero(lacking.any(axis=1))
+        names = np.array(mechanism.platform.coordinates)[lacking[rows[0]]]
         raise MeasurementError(
-            f"{int((~np.isfinite(plan.poses).all(axis=1)).sum())} of {len(plan.poses)} poses are "
-            "not whole; draw the poses that a calibration estimated: "
-            "result.estimated_poses, or poses.csv in the folder of the result"
+            f"{len(rows)} of {len(plan)} rows have no whole pose, the first is "
+            f"{plan.place(int(rows[0]))}, without {', '.join(names)}; show the RESULT of a "
+            "calibration, which estimates them (result.estimated_poses), not its measurements"
         )
     drawn = body(mechanism, plan)
     if identified is None:
