@@ -176,7 +176,7 @@ class Candidates:
         that residuals cannot show, as in ``PlatformError``. The error falls with the square root of
         the number of rows if there are ``more`` of them.
         """
-        if (freedoms := self.freedoms(measured, more)) <= 0:
+        if (freedoms := self.freedoms(measured, more)) <= 0 or not len(measured):
             return np.inf
         stated, times = self.stated(*measured), 1.0 + more / len(measured)
         scale = unnoticed(1.0 + surplus / freedoms, freedoms)
