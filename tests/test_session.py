@@ -542,3 +542,11 @@ def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     options = json.loads(Path("s/options.json").read_text())
     assert options["Noise"] == {"position": 2e-5, "orientation": 1e-4, "reading": 0.0}
     assert options["SessionOptions"] == {"accuracy": 2e-4}
+
+
+def test_a_plan_whose_poses_are_all_skipped_promises_nothing(tmp_path: Path) -> None:
+    """Without any row, no number of further ones is named."""
+    opened = session(tmp_path / "s")
+    for _ in range(len(opened.plan)):
+        opened.skip(opened.next_pose()[0])
+    assert progress(opened)[-1] == "no number of these poses suffices for 0.05 mm"

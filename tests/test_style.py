@@ -1,4 +1,4 @@
-"""The palette: one meaning a colour, apart and readable to everyone, on light and dark ground."""
+"""The palette: one meaning a colour, apart and readable to everyone."""
 
 from __future__ import annotations
 
@@ -44,26 +44,20 @@ def test_differences_of_colours_are_those_published(
 
 
 @pytest.mark.parametrize("vision", VISIONS)
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_no_two_meanings_look_alike(theme: str, vision: str) -> None:
+def test_no_two_meanings_look_alike(vision: str) -> None:
     """Legs and roles differ by 9 or more (CIEDE2000), to all kinds of eyes; 1 can just be seen."""
     named = {**{f"leg {i}": c for i, c in enumerate(style.LEGS, 1)}, **ROLES}
-    colours = [c if theme == "light" else style.DARK[c] for c in named.values()]
-    if theme == "light":  # the studies' figures have no dark ones
-        named |= {"fundamental domain": DOMAIN}
-        colours.append(DOMAIN)
-    apart = differences(colours, vision)
+    named |= {"fundamental domain": DOMAIN}
+    apart = differences([*named.values()], vision)
     for (i, a), (j, b) in combinations(enumerate(named), 2):
         assert apart[i, j] > 9.0, (a, b, apart[i, j])
 
 
-@pytest.mark.parametrize("ground", range(2), ids=["light", "dark"])
-def test_graphics_and_text_stand_out(ground: int) -> None:
-    """Contrast on the ground of each theme: 3 of lines and marks, 4.5 of text (WCAG 2.2)."""
+def test_graphics_and_text_stand_out() -> None:
+    """Contrast on the ground: 3 of lines and marks, 4.5 of text (WCAG 2.2)."""
     for colour in (*style.LEGS, *ROLES.values()):
-        seen = style.DARK[colour] if ground else colour
-        assert contrast(seen, style.PAPER[ground]) >= 3.0, colour
-    assert contrast(style.INK[ground], style.PAPER[ground]) >= 4.5
+        assert contrast(colour, style.PAPER) >= 3.0, colour
+    assert contrast(style.INK, style.PAPER) >= 4.5
 
 
 def test_every_bundled_leg_has_a_colour_of_its_own() -> None:
@@ -71,9 +65,3 @@ def test_every_bundled_leg_has_a_colour_of_its_own() -> None:
     most = max(len(pincal.load_mechanism(name).legs) for name in bundled())
     assert most == 8
     assert len({style.leg_colour(i) for i in range(most)}) == most
-
-
-def test_all_colours_have_a_dark_one() -> None:
-    """What drawings use on light ground is mapped for dark ground."""
-    used = {*style.LEGS, *ROLES.values(), style.GROUND, style.DIMENSION}
-    assert used == set(style.DARK)

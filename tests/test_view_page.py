@@ -16,7 +16,6 @@ from neighbours import skeleton
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.show.style import DARK, LEGS
 from pincal.show.view.scene import scene
 from pincal.show.view.view import View
 from pincal.words.numbers import POSES, per_si
@@ -538,26 +537,17 @@ def test_pages_can_be_used_by_everyone(theme: str, browser: Any, tmp_path: Path)
         context.close()
 
 
-def test_dark_ground_has_its_own_colours(opened: Any) -> None:
-    """Where dark is asked for, links, dots, grid and swatches take the palette's dark colours."""
+def test_a_dark_theme_inverts_the_drawing_and_its_swatches(opened: Any) -> None:
+    """Both alike, so that a colour means the same; text of the panel has the theme's colours."""
     window = opened(pincal.view(*plan("3RRR")))
     page = window.page
-    colours = """() => [...document.querySelectorAll(".tag")].map(
-      (tag) => getComputedStyle(tag).borderLeftColor)"""
-    light = page.evaluate(colours)
-    first = f"(own) => ({colours})()[0] !== own"
+    looks = """() => ["main", "aside .swatch"].map(
+      (of) => getComputedStyle(document.querySelector(of)).filter)"""
+    assert page.evaluate(looks) == ["none", "none"]
     page.emulate_media(color_scheme="dark")
-    page.wait_for_function(first, arg=light[0])
-    dark = page.evaluate(colours)
-    said = [f"rgb({', '.join(str(int(c[i : i + 2], 16)) for i in (1, 3, 5))})" for c in LEGS[:3]]
-    night = [
-        f"rgb({', '.join(str(int(DARK[c][i : i + 2], 16)) for i in (1, 3, 5))})" for c in LEGS[:3]
-    ]
-    assert light == said
-    assert dark == night
-    page.emulate_media(color_scheme="light")
-    page.wait_for_function(first, arg=dark[0])
-    assert page.evaluate(colours) == light
+    drawing, swatch = page.evaluate(looks)
+    assert "invert" in drawing
+    assert drawing == swatch
     assert window.clean(), window.said
 
 

@@ -107,7 +107,7 @@ class Plots:
                 width=0.0025,
             )
         pixels = rounded_down(_ARROW * widest / magnified)
-        ax.plot((0.0, magnified * pixels), (low, low), color=INK[0], lw=1.5, solid_capstyle="butt")
+        ax.plot((0.0, magnified * pixels), (low, low), color=INK, lw=1.5, solid_capstyle="butt")
         key = f"  {pixels:g} px of residual, predicted less seen"
         ax.text(magnified * pixels, low, key, size=8, va="center")
         label = "larger residual / (σ√(1−h))"

@@ -132,7 +132,7 @@ _LETTERS = 28  # most letters of a name
 _LETTERING: dict[str, Any] = {
     "size": 7.5,
     "zorder": 9,
-    "bbox": {"boxstyle": "square,pad=0.1", "color": style.PAPER[0], "alpha": 0.6},
+    "bbox": {"boxstyle": "square,pad=0.1", "color": style.PAPER, "alpha": 0.6},
 }
 _LINE = 75  # letters in a line of the legend
 

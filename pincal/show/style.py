@@ -35,25 +35,8 @@ OUTLIER = "#c8091c"
 GROUND = "#d4d4d4"
 #: Lengths, angles, axes and their names in drawings, and poses for every leg.
 DIMENSION = EVERY = "#222222"
-#: Replacement of each colour on a dark ground.
-DARK = {
-    "#07a75a": "#fdfd0c",
-    "#0e11a3": "#b1b7fd",
-    "#ac5f71": "#a35448",
-    "#7e7dfe": "#04fff4",
-    "#610f0a": "#efda81",
-    "#1a5c4c": "#c0f3c6",
-    "#703e68": "#b6b81e",
-    "#9f1042": "#85a862",
-    ACTIVE: ACTIVE,
-    NOMINAL: "#707070",
-    IDENTIFIED: "#9983f9",
-    OUTLIER: "#fa7399",
-    GROUND: "#3c4148",
-    DIMENSION: "#e8e8e8",
-}
-#: Backgrounds of pages, light and dark, and colours of text on them.
-PAPER, INK = ("#ffffff", "#16191d"), ("#222222", "#e8e8e8")
+#: Ground of pages and pictures, and colour of text on it.
+PAPER, INK = "#ffffff", "#222222"
 PAGE_WIDTH = 170.0  # width of a figure across a page, [mm]
 
 

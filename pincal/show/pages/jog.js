@@ -14,7 +14,7 @@ function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
       wanted = null;
       const answer = await (await fetch(`moved?row=${from}&by=${by}`)).json();
       if (from !== pose) continue; // another pose is shown meanwhile
-      if (!answer.problem) offset = answer.by;
+      if (!answer.problem) offset = by;
       draw({ ...answer, matrices: answer.matrices?.map(doubles) });
       write();
     }
@@ -57,13 +57,13 @@ function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
     });
   }
 
-  // Dragging the platform, or an arm's tool, in the plane that faces the viewer
+  // Dragging the platform in the plane that faces the viewer; the sliders of an arm are its readings
 
   const ray = new THREE.Raycaster();
   const plane = new THREE.Plane();
   const canvas = viewer.renderer.domElement;
   const [machine] = data.bodies;
-  const arm = data.sliders.every(({ axis }) => axis < 0); // its readings follow the tool
+  const arm = data.sliders.every(({ axis }) => axis < 0);
   let held = null;
 
   function aim(event) {
@@ -73,7 +73,7 @@ function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
   }
 
   canvas.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0) return;
+    if (event.button !== 0 || arm) return;
     aim(event);
     const parts = machine.objects.filter((_, i) => machine.paths[i].includes("/platform/"));
     const [hit] = ray.intersectObjects(parts, true);
@@ -91,7 +91,7 @@ function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
     const point = ray.ray.intersectPlane(plane, new THREE.Vector3());
     if (!point) return;
     const { x, y, z } = point.sub(held.from); // the world's y points up
-    go(arm ? [...held.offset, x, -z, y] : held.offset.map((own, i) => {
+    go(held.offset.map((own, i) => {
       const { axis, most } = data.sliders[i];
       return axis < 0 ? own : Math.min(Math.max(own + [x, -z, y][axis], -most), most);
     }));

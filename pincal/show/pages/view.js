@@ -82,26 +82,11 @@
     viewer.set_dirty();
   }
 
-  // Colours on a dark ground; materials keep a colour that the palette does not replace
+  viewer.scene.background = new THREE.Color(data.paper); // a dark theme inverts what is drawn
 
-  const night = window.matchMedia("(prefers-color-scheme: dark)");
-  const byDay = new Map(); // colours of materials
-  const tint = (colour) => (night.matches && data.dark[colour]) || colour;
-
-  function coloured(one, colour) { // an element, which follows the theme
+  function coloured(one, colour) {
     one.dataset.colour = colour;
-    one.style.setProperty("--own", tint(colour));
-  }
-
-  function paint() {
-    viewer.scene.background = new THREE.Color(data.paper[night.matches ? 1 : 0]);
-    viewer.scene.traverse(({ material }) => {
-      if (!material || !material.color) return;
-      if (!byDay.has(material)) byDay.set(material, `#${material.color.getHexString()}`);
-      material.color.set(tint(byDay.get(material)));
-    });
-    document.querySelectorAll("[data-colour]").forEach((one) => coloured(one, one.dataset.colour));
-    viewer.set_dirty();
+    one.style.setProperty("--own", colour);
   }
 
   // The panel
@@ -265,7 +250,5 @@
   for (const [id, act] of Object.entries(buttons)) find(id).addEventListener("click", act);
   fit();
   show(0);
-  paint();
-  night.addEventListener("change", paint);
   window.pincal = { viewer, show, jog, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
 })();

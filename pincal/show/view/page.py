@@ -17,8 +17,8 @@ import numpy as np
 from pincal.design.simulate import platform_errors
 from pincal.errors import MechanismError
 from pincal.kinematics.singularity import tensions
-from pincal.show.style import DARK, IDENTIFIED, PAPER
-from pincal.show.view.bodies import GREY, Body
+from pincal.show.style import IDENTIFIED, PAPER
+from pincal.show.view.bodies import Body
 from pincal.show.view.scene import Layer, Scene, moved
 from pincal.types import Array
 from pincal.words.numbers import POSES, SMALL, per_si
@@ -80,7 +80,6 @@ def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> 
         "panel": _panel(scene),
         "sliders": _sliders(scene),
         "axis": scene.body.axis,
-        "dark": DARK | {GREY: "#8b929b"},
         "paper": PAPER,
     }
     text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
@@ -100,13 +99,10 @@ def answer(scene: Scene, row: int, shift: Array) -> str:
         moved_scene = moved(scene, row, shift)
     except MechanismError as error:
         return json.dumps({"problem": str(error)})
-    bodies, by = _bodies(moved_scene).values(), shift
-    if scene.mechanism.by_readings:
-        by = moved_scene.body.readings[0] - scene.body.readings[row]
+    bodies = _bodies(moved_scene).values()
     return json.dumps(
         {
             "problem": "",
-            "by": by.tolist(),
             "matrices": [_columns(drawn) for drawn in bodies],
             "problems": [drawn.problems[0] for drawn in bodies],
             "values": [row["values"][0] for row in _rows(moved_scene)],

@@ -14,8 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import least_squares
-from pincal.kinematics.configurations import command, legs_at
+from pincal.kinematics.configurations import command
 from pincal.kinematics.forward import forward
 from pincal.model import EVERY_LEG, ORIGIN, VERIFY, Mechanism, Plan
 from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
@@ -29,7 +28,6 @@ _SEEN = 0.03  # size of visible errors, over the scene's size
 _LONG, _LONGEST = 0.08, 0.5  # lengths of a long arrow and of a cut arrow, over the scene's size
 _TOUCHED = 7  # pixels of a point that targets touch
 _HEAD = 0.2  # length of an arrow's head, over the arrow's
-_STEPS, _STEP, _TURNS, _NEAR = 50, 0.5, 1e-3, 1e-4  # dragging: steps, longest, weight, tolerance
 
 
 class Layer(NamedTuple):
@@ -214,9 +212,8 @@ def _driven(
 def moved(shown: Scene, row: int, shift: Array) -> Scene:
     """Return the scene at a single pose, which is the pose of a row (from 0) moved by a shift.
 
-    The shift is a twist of the platform in its freedoms, in base axes at its origin. If poses do
-    not determine readings, it has changes of the readings and, optionally, three numbers to shift
-    the platform without turning it; [m] and [rad].
+    The shift is a twist of the platform in its freedoms, in base axes at its origin, or changes of
+    the readings if poses do not determine them; [m] and [rad].
 
     Raises:
         MechanismError: the shift is not finite or has a wrong shape, or no pose has the readings.
@@ -224,16 +221,14 @@ def moved(shown: Scene, row: int, shift: Array) -> Scene:
     mechanism, platform = shown.mechanism, shown.mechanism.platform
     pose, readings = shown.plan.poses[[row]], shown.body.readings[[row]]
     width = readings.shape[1] if mechanism.by_readings else platform.dof
-    carried = mechanism.by_readings and shift.shape == (width + 3,)
-    if (shift.shape != (width,) and not carried) or not np.isfinite(shift).all():
+    if shift.shape != (width,) or not np.isfinite(shift).all():
         raise MechanismError(f"moved by an array of shape {shift.shape}; expected ({width},)")
     if mechanism.by_readings:
-        plan = Plan(pose, readings=readings + shift[:width])
+        plan = Plan(pose, readings=readings + shift)
         poses, _, (reason,) = command(mechanism, plan)
         if reason:
             raise MechanismError(reason)
         plan = Plan(poses, readings=plan.readings)
-        plan = _carried(mechanism, plan, shift[width:]) if carried else plan
     else:
         matrices = platform.displaced(platform.matrices(pose), shift[None])
         measured = None if shown.plan.readings is None else np.full_like(readings, np.nan)
@@ -242,33 +237,6 @@ def moved(shown: Scene, row: int, shift: Array) -> Scene:
     if problem := moved_scene.body.problems[0]:
         raise MechanismError(problem)
     return moved_scene
-
-
-def _carried(mechanism: Mechanism, plan: Plan, shift: Array) -> Plan:
-    """Return a configuration with the platform shifted, and turned as little as possible.
-
-    Gauss–Newton steps change the readings; turns weigh little, so that arms of few joints follow.
-
-    Raises:
-        MechanismError: the shifted position is out of reach.
-    """
-    platform, legs = mechanism.platform, legs_at(mechanism, plan)
-    goal = platform.matrices(plan.poses).copy()
-    goal[:, :3, 3] += shift
-    goal_pose = platform.from_matrices(goal)
-    weights = np.where(np.array(platform.units) == "m", 1.0, _TURNS * mechanism.size)
-    for _ in range(_STEPS):
-        error = weights * platform.twists_between(legs.poses, goal_pose)[0]
-        by_readings = -weights[:, None] * least_squares(legs.pose, legs.reading)[0]
-        step = np.linalg.lstsq(by_readings, error)[0]
-        step *= min(1.0, _STEP / np.abs(step).max(initial=1e-12))
-        trial = legs_at(mechanism, Plan(legs.poses, readings=legs.readings + step))
-        if not trial.reached.all() or np.abs(step).max() < 1e-10:
-            break
-        legs = trial
-    if np.linalg.norm(error[: platform.lengths]) > _NEAR * mechanism.size:
-        raise MechanismError("out of reach")
-    return Plan(legs.poses, readings=legs.readings)
 
 
 # Results of a calibration
