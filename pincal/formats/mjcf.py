@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import lazy_loader
 import numpy as np
 from lxml import etree
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
@@ -48,9 +48,10 @@ def read_mjcf(path: Path) -> Tree:
     """Return the tree of an MJCF file, with its loops and drives."""
     title = read_xml(path, "mujoco").get("model")
     model = _compiled(path)
-    links = _names(model, mujoco.mjtObj.mjOBJ_BODY, [f"body_{i}" for i in range(model.nbody)])
-    of_joints = [f"{links[body]}_joint_{i}" for i, body in enumerate(model.jnt_bodyid)]
-    joints = _names(model, mujoco.mjtObj.mjOBJ_JOINT, of_joints)
+    links = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
+    joints = [
+        model.joint(i).name or f"{links[body]}_joint_{i}" for i, body in enumerate(model.jnt_bodyid)
+    ]
     edges = [edge for body in range(1, model.nbody) for edge in _edges(model, body, links, joints)]
     carriers, remarks = {edge.child: edge.joint.name for edge in edges}, dict[str, str]()
     for i, body in enumerate(model.site_bodyid):  # a named site is a link fixed to its body
@@ -122,18 +123,10 @@ def _drop_shapes(spec: mujoco.MjSpec) -> None:
     spec.compiler.fusestatic = spec.compiler.alignfree = False
 
 
-def _names(model: mujoco.MjModel, kind: int, unnamed: list[str]) -> list[str]:
-    """Return the names of all objects of a kind; ``unnamed`` has one for each without a name."""
-    named = [mujoco.mj_id2name(model, kind, i) for i in range(len(unnamed))]
-    return [name or substitute for name, substitute in zip(named, unnamed, strict=True)]
-
-
 def _pose(position: Array, quaternion: Array = _STILL) -> Array:
     """Return the pose, shape (4, 4), of a position [m] and a quaternion, scalar first."""
-    matrix = np.eye(4)
-    matrix[:3, 3] = position
-    matrix[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
-    return matrix
+    turn = Rotation.from_quat(quaternion, scalar_first=True)
+    return RigidTransform.from_components(position, turn).as_matrix()
 
 
 def _edges(model: mujoco.MjModel, body: int, links: list[str], joints: list[str]) -> Iterator[Edge]:
