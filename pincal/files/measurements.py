@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError, located
 from pincal.files.columns import known_columns, reading_units, table_of, unknown_columns
@@ -114,7 +114,7 @@ def read_measurements(
     _check_columns(table, mechanism, setup, further)
     poses = _poses(table, mechanism, partial=partial)
     if level and "z" in table:
-        _check_level(table, poses)
+        poses = _levelled(table, setup, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
     unknown = unknown_columns(table, known)
     extra, sigma_extra = _quantities(table, further, pixels, partial=partial or bool(named))
@@ -222,27 +222,40 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
     return np.hstack((poses, turns))
 
 
-def _check_level(table: TextTable, poses: Array) -> None:
-    """Raise if positions of a planar machine lie in a plane that is tilted to x-y.
+def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
+    """Return poses of a planar machine, (N, dof), after turning their plane into x-y.
 
-    A tracker that is not level measures such a plane: x and y alone are too short across the tilt,
-    and no residual shows it. A shortening that is less than the noise does not matter.
+    A tracker that is not level measures a tilted plane: x and y alone are too short across the
+    tilt, and no residual shows it. A shortening that is less than the noise does not matter.
     """
     points = np.column_stack((poses[:, :2], table.numbers("z", "m", blank=True)))
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < 4:
-        return
-    points = points - points.mean(axis=0)
-    _, s, axes = np.linalg.svd(points, full_matrices=False)
-    across, cosine = s[2] / np.sqrt(len(points)), min(abs(axes[2, 2]), 1.0)
-    shortened = float(np.ptp(points @ axes[0])) * (1.0 - cosine)
-    if shortened > across and s[1] >= 10.0 * s[2]:  # a line lies in many planes
+    known = np.isfinite(points).all(axis=1)
+    if known.sum() < 4:
+        return poses
+    middle = points[known].mean(axis=0)
+    arms = points - middle
+    _, s, axes = np.linalg.svd(arms[known], full_matrices=False)
+    normal = axes[2] * np.copysign(1.0, axes[2, 2])
+    across, cosine = s[2] / np.sqrt(known.sum()), min(float(normal[2]), 1.0)
+    shortened = float(np.ptp(arms[known] @ axes[0])) * (1.0 - cosine)
+    if not shortened > across or s[1] < 10.0 * s[2]:  # a line lies in many planes
+        return poses
+    tilted = (
+        f"{table.path}: positions lie in a plane that is tilted by "
+        f"{np.degrees(np.arccos(cosine)):.2g}° to x-y (they miss it by {amount(across, 'm', 2)}): "
+        f"x and y alone are too short by up to {amount(shortened, 'm', 2)}"
+    )
+    lacking = (~known & np.isfinite(poses[:, :2]).any(axis=1)).any()
+    others = np.isfinite(poses[:, 2:]).any() or len(setup.targets) > 1 or setup.distances
+    if lacking or others or not setup.unknown_frame:
         raise MeasurementError(
-            f"{table.path}: positions lie in a plane that is tilted by "
-            f"{np.degrees(np.arccos(cosine)):.2g}° to x-y (they miss it by "
-            f"{amount(across, 'm', 2)}): x and y alone are too short by up to "
-            f"{amount(shortened, 'm', 2)}. Turn the positions into x-y first"
+            f"{tilted}. Declare their frame unknown (--unknown-frame), so that positions can be "
+            "turned into x-y, each by its z; orientations, further targets and distances cannot be "
+            "turned with them: leave them out, or turn all into x-y yourself"
         )
+    _log.info("%s; they were turned into x-y", tilted)
+    turned = Rotation.align_vectors((0.0, 0.0, 1.0), normal)[0].apply(arms) + middle
+    return np.column_stack((turned[:, :2], poses[:, 2:]))
 
 
 def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
