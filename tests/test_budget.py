@@ -20,7 +20,7 @@ LINES = {
     "design": 2_558,
     "estimation": 4_398,
     "files": 3_261,
-    "formats": 3_666,
+    "formats": 3_670,
     "instruments": 1_548,
     "kinematics": 3_418,
     "model": 3_562,

@@ -48,10 +48,7 @@ def read_mjcf(path: Path) -> Tree:
     """Return the tree of an MJCF file, with its loops and drives."""
     title = read_xml(path, "mujoco").get("model")
     model = _compiled(path)
-    links = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
-    joints = [
-        model.joint(i).name or f"{links[body]}_joint_{i}" for i, body in enumerate(model.jnt_bodyid)
-    ]
+    links, joints = _names(model)
     edges = [edge for body in range(1, model.nbody) for edge in _edges(model, body, links, joints)]
     carriers, remarks = {edge.child: edge.joint.name for edge in edges}, dict[str, str]()
     for i, body in enumerate(model.site_bodyid):  # a named site is a link fixed to its body
@@ -121,6 +118,13 @@ def _drop_shapes(spec: mujoco.MjSpec) -> None:
     spec.compiler.boundmass = spec.compiler.boundinertia = 1.0
     spec.compiler.balanceinertia = True
     spec.compiler.fusestatic = spec.compiler.alignfree = False
+
+
+def _names(model: mujoco.MjModel) -> tuple[list[str], list[str]]:
+    """Return the names of bodies and of joints; those without a name are numbered."""
+    links = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
+    bodies = enumerate(model.jnt_bodyid)
+    return links, [model.joint(i).name or f"{links[b]}_joint_{i}" for i, b in bodies]
 
 
 def _pose(position: Array, quaternion: Array = _STILL) -> Array:
