@@ -41,15 +41,14 @@ class TurnedRows(NamedTuple):
     sigma: Array
     """Standard deviations, shape (N, j)."""
     vectors: Array
-    """Householder vectors, shape (N, dof, j)."""
+    """Householder vectors V, shape (N, dof, j)."""
     factors: Array
-    """Householder factors, shape (N, dof)."""
+    """T of all reflections at once, 1 − Vᵀ T V, lower triangular, shape (N, dof, dof)."""
 
     def __call__(self, rows: Array) -> tuple[Array, Array]:
         """Return the rows that depend on the pose, and the others, from rows (N, k, n)."""
         turned = rows[:, self.rows[1]] / self.sigma[:, :, None]
-        for v, factor in zip(self.vectors.swapaxes(0, 1), self.factors.T, strict=True):
-            turned -= v[:, :, None] * (factor[:, None, None] * (v[:, None] @ turned))
+        turned -= self.vectors.swapaxes(1, 2) @ (self.factors @ (self.vectors @ turned))
         dof = self.factors.shape[1]
         return np.concatenate((rows[:, self.rows[0]], turned[:, :dof]), axis=1), turned[:, dof:]
 
@@ -131,12 +130,14 @@ def turned_rows(
     the standard deviations of the independent ones, above zero, (N, j), j ≥ dof. Indices of rows
     and of columns of noise are those of the other rows, then of the independent ones.
     """
-    h, factors = np.linalg.qr(pose[:, rows[1]] / sigma[:, :, None], mode="raw")
+    h, tau = np.linalg.qr(pose[:, rows[1]] / sigma[:, :, None], mode="raw")
     dof = pose.shape[2]
     triangle = np.triu(h[:, :, :dof].transpose(0, 2, 1))
     vectors = np.triu(h, 1)
     vectors[:, range(dof), range(dof)] = 1.0
     unit = np.broadcast_to(np.eye(dof), (len(pose), dof, dof))
+    later = np.tril(product(vectors, vectors.swapaxes(1, 2)), -1)  # by earlier reflections
+    factors = solve(unit + tau[:, :, None] * later, tau[:, :, None] * unit)
     joined = white_rows(
         np.concatenate((pose[:, rows[0]], triangle), axis=1), block_diagonal((noise, unit))
     )
