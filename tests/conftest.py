@@ -26,6 +26,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a 
 
 Array = NDArray[np.float64]
 KINDS = ["3RRR", "5R"]
+LONGEST = {"test_camera", "test_many", "test_photographed", "test_pulleys", "test_studies"}
+LONGEST |= {"test_surplus", "test_trust"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the modules that have the longest tests: no core waits for one at the end."""
+    items.sort(key=lambda item: item.path.stem not in LONGEST)
 
 
 def pytest_collection_finish() -> None:

@@ -6,6 +6,7 @@ Each pixel is the mean of the pattern over its area; rays and pixels are OpenCV'
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,7 @@ from pincal.instruments.board import Board
 
 _SAMPLES = 6  # a pixel, along each side
 _UNITS = 240  # a square's side, in which markers of 0.7 have whole bits
+_RIM = 160  # of the same units, white around the board
 
 
 @dataclass(frozen=True)
@@ -48,14 +50,16 @@ class Pinhole:
         return np.asarray(found[:, 0])
 
 
+@cache
 def texture(board: Board) -> np.ndarray:
-    """Return the board's pattern, ``_UNITS`` a square, 0 black and 1 white, row 0 at its top."""
+    """Return the board's grey values, ``_UNITS`` a square, row 0 at its top, within its rims."""
     columns, rows = board.squares
     picture = np.ones((rows * _UNITS, columns * _UNITS))
     for x, y, width, height in np.rint(board.black * _UNITS / board.square).astype(int):
         top = rows * _UNITS - y - height
         picture[top : top + height, x : x + width] = 0.0
-    return picture
+    pattern = np.pad(0.08 + 0.8 * picture, _RIM, constant_values=0.88)
+    return np.pad(pattern, 1, constant_values=0.75).astype(np.float32)
 
 
 def photograph(
@@ -75,11 +79,25 @@ def photograph(
         lens: The lens.
         blur: Standard deviation of the blur, [px].
         noise: Of grey values, of white.
-        seed: Of noise and samples.
+        seed: Of noise.
     """
-    rng = np.random.default_rng(seed)
-    width, height = lens.size
     R, t = T_camera_board[:3, :3], T_camera_board[:3, 3]
+    picture = _rendered(board, T_camera_board.tobytes(), lens, blur)
+    shot = np.sqrt(0.3 + 0.7 * picture) * noise
+    picture = picture + shot * np.random.default_rng(seed).standard_normal(picture.shape)
+    grey = np.clip(np.rint(picture * 4095), 0, 4095).astype(np.uint16)
+    truth = lens.pixels(np.array(list(board.points.values())) @ R.T + t)
+    inside = ((truth > 0) & (truth < np.array(lens.size) - 1)).all(axis=1)
+    named = zip(board.points, truth, inside, strict=True)
+    return grey, {name: pixel for name, pixel, ok in named if ok}
+
+
+@lru_cache(maxsize=32)
+def _rendered(board: Board, T_camera_board: bytes, lens: Pinhole, blur: float) -> np.ndarray:
+    """Return the grey values of a photo without noise, of which others differ by noise alone."""
+    T = np.frombuffer(T_camera_board).reshape(4, 4)
+    R, t = T[:3, :3], T[:3, 3]
+    width, height = lens.size
     picture = np.full((height, width), 0.75)  # a wall behind
     size = np.array(board.size) * board.scale
     edge = 0.02 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])  # the board's white rim
@@ -93,8 +111,6 @@ def photograph(
     by_v, by_u = (slope.reshape(-1, 2).T for slope in np.gradient(rays, axis=(0, 1)))
     x, y = rays.reshape(-1, 2).T
     H = np.linalg.inv(np.column_stack((R[:, 0], R[:, 1], t)))  # of rays to the board
-    pattern = np.pad(0.08 + 0.8 * texture(board), rim := 160, constant_values=0.88)
-    pattern = np.pad(pattern, 1, constant_values=0.75).astype(np.float32)
     per_metre = _UNITS / board.square / np.array(board.scale)
     total = np.zeros(u.shape)
     for du, dv in np.ndindex(_SAMPLES, _SAMPLES):
@@ -103,17 +119,10 @@ def photograph(
         sy = y + by_u[1] * step[0] + by_v[1] * step[1]
         a, b, c = (row[0] * sx + row[1] * sy + row[2] for row in H)
         column, row = a / c * per_metre[0], board.squares[1] * _UNITS - b / c * per_metre[1]
-        maps = [(m + rim + 0.5).reshape(u.shape).astype(np.float32) for m in (column, row)]
-        total += cv2.remap(pattern, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        maps = [(m + _RIM + 0.5).reshape(u.shape).astype(np.float32) for m in (column, row)]
+        total += cv2.remap(texture(board), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     picture[low[1] : high[1], low[0] : high[0]] = total / _SAMPLES**2
-    picture = gaussian_filter(picture, blur) if blur else picture
-    shot = np.sqrt(0.3 + 0.7 * picture) * noise
-    picture = picture + shot * rng.standard_normal(picture.shape)
-    grey = np.clip(np.rint(picture * 4095), 0, 4095).astype(np.uint16)
-    truth = lens.pixels(np.array(list(board.points.values())) @ R.T + t)
-    inside = ((truth > 0) & (truth < np.array(lens.size) - 1)).all(axis=1)
-    named = zip(board.points, truth, inside, strict=True)
-    return grey, {name: pixel for name, pixel, ok in named if ok}
+    return gaussian_filter(picture, blur) if blur else picture
 
 
 def facing(board: Board, distance: float, tilt: tuple[float, float, float]) -> np.ndarray:

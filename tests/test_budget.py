@@ -18,7 +18,7 @@ LINES = {
     "calibration": 6_919,
     "cli": 2_648,
     "design": 2_558,
-    "estimation": 4_398,
+    "estimation": 4_399,
     "files": 3_261,
     "formats": 3_670,
     "instruments": 1_548,
