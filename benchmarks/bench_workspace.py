@@ -15,6 +15,7 @@ from conftest import in_turn
 from numpy.typing import NDArray
 
 import pincal
+from pincal.workspace.region import BLOCK, PositionTest
 
 Array = NDArray[np.float64]
 NONE = pincal.Margins.none()
@@ -34,6 +35,15 @@ TILTS = ["azimuth [deg]=-175:180:5", "tilt=0:0.6:0.05", "torsion=-0.6:0.6:0.05"]
 @pytest.fixture(scope="module")
 def hexapod() -> pincal.Mechanism:
     return pincal.load_mechanism("6UPS")
+
+
+def computed_everywhere(
+    mechanism: pincal.Mechanism, grid: pincal.Grid, turns: pincal.Orientations
+) -> Array:
+    """Compute all positions of a total-orientation workspace, without symmetry."""
+    test, size = PositionTest(mechanism, turns, True, NONE), max(1, BLOCK // len(turns))
+    parts = np.split(np.arange(grid.size), range(size, grid.size, size))
+    return np.concatenate([test(grid.at(part)) for part in parts])
 
 
 def brute_force(mechanism: pincal.Mechanism, positions: Array, turns: Array) -> Array:
@@ -56,7 +66,7 @@ def test_symmetry_and_brute_force(benchmark: Any, ratios: Any, hexapod: pincal.M
     matrices = turns.rotations.as_matrix()
     short, long, brute = in_turn(
         lambda: pincal.compute_workspace(*arguments),
-        lambda: pincal.compute_workspace(*arguments, symmetry=False),
+        lambda: computed_everywhere(hexapod, grid, turns),
         lambda: brute_force(hexapod, few, matrices),
         runs=3,
     )
@@ -76,12 +86,7 @@ def test_cost_per_pose_is_flat(benchmark: Any, ratios: Any, hexapod: pincal.Mech
         pincal.Grid.of(f"x=-1.5:1.5:{step}", f"y=-1.5:1.5:{step}", "z=1.8") for step in (0.5, 0.05)
     ]
     times = in_turn(
-        *(
-            lambda grid=grid: pincal.compute_workspace(
-                hexapod, "total-orientation", grid, turns, NONE, symmetry=False
-            )
-            for grid in grids
-        ),
+        *(lambda grid=grid: computed_everywhere(hexapod, grid, turns) for grid in grids),
         runs=7,
     )
     sizes = [grid.size * len(turns) for grid in grids]

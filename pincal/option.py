@@ -2,7 +2,7 @@
 
 ``option`` gives a field its default, its help, and the kinds of units that its value may have.
 Python functions take the dataclass itself; ``pincal.cli.options`` makes command-line options of its
-fields: ``fixed`` is ``--fixed``, and ``symmetry = True`` is ``--no-symmetry``.
+fields: ``fixed`` is ``--fixed``, and ``margins = True`` is ``--no-margins``.
 """
 
 from dataclasses import dataclass, field, fields

@@ -7,6 +7,7 @@ from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 
 import pincal
 
@@ -76,7 +77,9 @@ def _inscribed(study: Study) -> Circle:
     """Find the maximal inscribed workspace (Fig. 2)."""
     step = 0.04 if study.quick else 0.01
     grid = pincal.Grid.of(f"x=-1.4:1.4:{step}", f"y=0:2:{step}")
-    found = pincal.compute_workspace(study.mechanism, "reachable", grid, None, FREE, connected=True)
+    found = pincal.compute_workspace(study.mechanism, "reachable", grid, None, FREE)
+    parts = label(found.inside.reshape(grid.shape))[0].ravel()  # the largest is connected to home
+    found = replace(found, inside=parts == 1 + np.argmax(np.bincount(parts)[1:]))
     circle = largest_circle(found)
     study.heading("Maximal inscribed workspace (Fig. 2)")
     study.say(

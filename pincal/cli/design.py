@@ -44,8 +44,6 @@ from pincal.workspace.grid import POSITION_AXES, Axis, Grid, closer_grid, defaul
 from pincal.workspace.region import KINDS, Workspace
 
 _FORECAST = 50  # number of poses without a plan
-#: Options that only regions have; only samples of poses have a number of poses.
-_OF_REGIONS = ("axis", "symmetry", "connected")
 
 
 @dataclass(frozen=True)
@@ -65,8 +63,6 @@ class WorkspaceOptions:
     margins: bool = option(
         True, "Ignore margins from singularities: only reach and joint limits count."
     )
-    symmetry: bool = option(True, "Compute every position instead of a fundamental domain.")
-    connected: bool = option(False, "Keep only the connected part nearest to home.")
     force: bool = option(False, FORCE)
 
 
@@ -90,7 +86,7 @@ def workspace(
     """
     if options.kind not in ("poses", *KINDS):
         raise WorkspaceError(f"--kind {options.kind}: unknown; expected poses, {', '.join(KINDS)}")
-    foreign = _OF_REGIONS if options.kind == "poses" else ("count",)
+    foreign = ("axis",) if options.kind == "poses" else ("count",)
     refuse_options(options, foreign, f"--kind {options.kind}")
     if not options.margins and margins != Margins():
         raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
@@ -120,16 +116,8 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions, least
 
     def compute(grid: Grid, text: str) -> Workspace:
         with working(text, grid.size) as done:
-            return pincal.compute_workspace(
-                mechanism,
-                options.kind,
-                grid,
-                orientations,
-                least,
-                symmetry=options.symmetry,
-                connected=options.connected,
-                progress=done,
-            )
+            kind, turned = options.kind, orientations
+            return pincal.compute_workspace(mechanism, kind, grid, turned, least, done)
 
     region = compute(default_grid(mechanism, places), f"{options.kind} workspace")
     closer = closer_grid(region.asked, region.inside, [axis.name for axis in places])

@@ -135,7 +135,6 @@ def workspace_table(workspace: Workspace) -> Table:
     """Return the facts of a workspace: size, positions, orientations, margins, symmetry."""
     positions, test = workspace.asked, workspace.test
     name = {1: "length", 2: "area", 3: "volume"}[positions.dimension or 1]
-    separate = f"; {workspace.apart:,} not connected to home" if workspace.apart else ""
     type2 = test.least.least_type2(test.mechanism)
     sides = "both sides of type 2" if type2 == -np.inf else f"type 2 ≥ {type2:.3g}"
     every = "in every one of" if test.every else "in any of"
@@ -148,7 +147,7 @@ def workspace_table(workspace: Workspace) -> Table:
         symmetry += f"; not used, or not a symmetry of these positions and orientations: {unused}"
     facts = [
         (name, f"{workspace.size} (at most: half a cell along the edge)"),
-        ("positions", f"{workspace.count:,} of {positions.size:,} count{separate}"),
+        ("positions", f"{workspace.count:,} of {positions.size:,} count"),
         ("orientations", f"{every} {len(test.orientations):,}"),
         ("margins", f"type 1 ≥ {test.least.least_type1(test.mechanism):.3g}, {sides}"),
         ("symmetry", symmetry),

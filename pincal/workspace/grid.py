@@ -14,9 +14,6 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
@@ -253,10 +250,6 @@ class Grid:
 
         return carry
 
-    def closed(self, place: int) -> bool:
-        """Return whether the first and last value of an axis, by its place, are neighbours."""
-        return self.axes[place].full_turn and len(self.axes[place].values) > 2
-
 
 def lowest(carriers: Iterable[Carrier], index: Indices) -> Indices:
     """Return the lowest index in each position's orbit under a group that maps the grid."""
@@ -268,27 +261,13 @@ def edges(grid: Grid, inside: Mask) -> Indices:
     cells, pairs = inside.reshape(grid.shape), []
     for place, n in enumerate(grid.shape):
         differ = cells != np.roll(cells, -1, axis=place)
-        if not grid.closed(place):
+        if not (grid.axes[place].full_turn and n > 2):  # first and last are no neighbours
             differ[(slice(None),) * place + (-1,)] = False
         first = np.flatnonzero(differ)
         split = list(np.unravel_index(first, grid.shape))
         split[place] = (split[place] + 1) % n
         pairs.append(np.stack((first, np.ravel_multi_index(tuple(split), grid.shape)), axis=1))
     return np.concatenate(pairs)
-
-
-def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
-    """Return the mask, (N,), of inside positions connected with the one nearest to home."""
-    labels, count = label(inside.reshape(grid.shape))
-    numbers = np.arange(count + 1)
-    for place in filter(grid.closed, range(labels.ndim)):  # first and last value are neighbours
-        ends = labels.take(0, place).ravel(), labels.take(-1, place).ravel()
-        joined = (ends[0] > 0) & (ends[1] > 0)
-        graph = coo_array((joined[joined], (ends[0][joined], ends[1][joined])), [count + 1] * 2)
-        numbers = connected_components(graph, directed=False)[1]
-    index = np.flatnonzero(inside)
-    nearest = index[np.argmin(np.linalg.norm(grid.at(index) - home, axis=1))]
-    return inside & (numbers[labels] == numbers[labels.ravel()[nearest]]).ravel()
 
 
 def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) -> Grid:

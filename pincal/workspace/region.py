@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from pincal.workspace.criteria import (
     criteria_of,
     refuse_readings,
 )
-from pincal.workspace.grid import Carrier, Grid, edges, lowest, part_around
+from pincal.workspace.grid import Carrier, Grid, edges, lowest
 
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
 BLOCK = 1 << 17  # pairs of position and orientation in memory at a time
@@ -146,7 +145,7 @@ class Workspace:
     elements: tuple[Element, ...]
     """Elements of the mechanism's group that were used, the identity first."""
     unused: tuple[Element, ...]
-    """Elements not used: they map positions or orientations elsewhere, or ``symmetry`` is off."""
+    """Elements not used: they map positions or orientations elsewhere."""
     computed: int
     """Number of positions that were computed; the others follow by symmetry."""
 
@@ -170,17 +169,6 @@ class Workspace:
             if len(axis.values) > 1 and not axis.full_turn and ends.any():
                 return True
         return False
-
-    @cached_property
-    def apart(self) -> int:
-        """Number of positions that count but are not connected with home's on the grid.
-
-        They may belong to another aspect, or be connected by other orientations.
-        """
-        if not self.inside.any():
-            return 0
-        home = self.test.mechanism.platform.home_pose.translation[0]
-        return self.count - int(np.count_nonzero(part_around(self.asked, self.inside, home)))
 
     @cached_property
     def measure(self) -> float:
@@ -214,18 +202,6 @@ class Workspace:
         )
 
 
-@dataclass(frozen=True)
-class Computing:
-    """Options of computing a workspace."""
-
-    symmetry: bool = True
-    """Whether to compute only a fundamental domain of the symmetries that map the grid."""
-    connected: bool = False
-    """Whether to keep only positions connected, on the grid, with the one nearest to home."""
-    progress: Callable[[int], None] | None = None
-    """Function that is called with the number of positions done."""
-
-
 @one_thread()
 def compute_workspace(
     mechanism: GivenMechanism,
@@ -233,12 +209,12 @@ def compute_workspace(
     grid: Grid,
     orientations: Orientations | None = None,
     least: Margins | None = None,
-    **options: Any,
+    progress: Callable[[int], None] | None = None,
 ) -> Workspace:
     """Return the positions that a platform reaches in one orientation, some, or all of a set.
 
     Each position is tested by itself, so an aspect across a singularity is included where margins
-    allow it: see ``connected`` and ``Workspace.apart``.
+    allow it.
 
     Args:
         mechanism: The mechanism.
@@ -248,12 +224,12 @@ def compute_workspace(
         orientations: Orientations to test; by default home's for a constant orientation, and the
             full range (5° apart in a plane, 30° in space) if reachable or dexterous.
         least: Margins from singularities.
-        **options: ``symmetry``, ``connected``, ``progress``: see ``Computing``.
+        progress: Function that is called with the number of positions done.
 
     Raises:
         WorkspaceError: the kind is unknown, or orientations are missing where they are needed.
     """
-    computing, mechanism = Computing(**options), as_mechanism(mechanism)
+    mechanism = as_mechanism(mechanism)
     orientations = _orientations(mechanism, kind, orientations)
     if not isinstance(grid, Grid):
         raise WorkspaceError(f"grid: expected a Grid; got {described(grid)}")
@@ -262,13 +238,12 @@ def compute_workspace(
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING, readings=False).elements
     test = PositionTest(mechanism, orientations, kind != "reachable", least)
-    elements, exact = usable(group if computing.symmetry else group[:1], grid, test), True
+    elements, exact = usable(group, grid, test), True
     slack = min([_NEARLY, *(_CELL * axis.step for axis in grid.axes if axis.step)])
-    if computing.symmetry:
-        near = symmetry_group(mechanism, slack / mechanism.size, readings=False).elements
-        nearly = usable(near, grid, test, slack)
-        if len(nearly) > len(elements):
-            group, elements, exact = near, nearly, False
+    near = symmetry_group(mechanism, slack / mechanism.size, readings=False).elements
+    nearly = usable(near, grid, test, slack)
+    if len(nearly) > len(elements):
+        group, elements, exact = near, nearly, False
     unused = tuple(e for e in group if e not in elements)
     size, computed = max(1, BLOCK // len(orientations)), np.zeros(grid.size, dtype=bool)
     inside = np.zeros(grid.size, dtype=bool)
@@ -278,16 +253,14 @@ def compute_workspace(
         domain = index[first == index]
         inside[domain], computed[domain] = test(grid.at(domain)), True
         inside[index] = inside[first]
-        if computing.progress:
-            computing.progress(int(index[-1]) + 1)
+        if progress:
+            progress(int(index[-1]) + 1)
     while not exact:  # a symmetry that nearly holds may move the border: compute it there
         border = np.unique(edges(grid, inside))
         border = border[~computed[border]]
         for part in np.split(border, range(size, len(border), size)):
             inside[part], computed[part] = test(grid.at(part)), True
         exact = not len(border)
-    if computing.connected and inside.any():
-        inside = part_around(grid, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
     used, count = tuple(elements), int(np.count_nonzero(computed))
     return Workspace(kind, test, grid, inside, used, unused, count)
