@@ -304,7 +304,7 @@ def _against(
             "symmetry of the structure (Eq. 18)",
             "three rotations, three reflections",
             ", ".join(str(e) for e in group.elements),
-            "reflections break the working mode" if group.breaks else "holds",
+            "holds" if group.elements[-1].reflection else "reflections break the working mode",
         ),
         (
             "symmetry of the articular-variables space (conjecture, Fig. 7)",

@@ -15,7 +15,6 @@ from pincal.model.checks import counted, listed
 from pincal.show import misses
 from pincal.show.misses import WorkspaceErrors
 from pincal.symmetry.detect import SymmetryGroup
-from pincal.symmetry.shapes import no_symmetries
 from pincal.words.numbers import SMALL, STORED, VALUES, chance, number, shown_in, uncertainty
 from pincal.words.table import Cell, Table, Value, quantity
 from pincal.words.wording import NAMED, named
@@ -41,9 +40,8 @@ def nominal_table(mechanism: Mechanism) -> Table:
 
 
 def symmetry_table(group: SymmetryGroup) -> Table:
-    """Return a group's elements with their permutation of legs, and why others are no symmetry."""
+    """Return a group's elements with their permutation of legs, and why others are none."""
     names = group.mechanism.leg_names
-    lines = [f"no symmetry: {text}" for text in no_symmetries(group.breaks)]
     size = f"{group.name}, {counted(len(group.elements), 'element')}"
     return Table(
         f"{group.mechanism.name}: {size}, nominal geometry and modes",
@@ -52,7 +50,7 @@ def symmetry_table(group: SymmetryGroup) -> Table:
             (str(element), *(names[i] for i in permutation))
             for element, permutation in zip(group.elements, group.permutations, strict=True)
         ],
-        "\n".join(lines),
+        "\n".join(f"no symmetry: {sentence}" for sentence in group.reasons),
     )
 
 

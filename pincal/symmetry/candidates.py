@@ -15,8 +15,9 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.model import Mechanism
 from pincal.model.checks import ALIKE, ROUNDING
 from pincal.symmetry.elements import IDENTITY, Element, applied, isometry
-from pincal.symmetry.shapes import Difference, StandingLeg, differences
+from pincal.symmetry.shapes import StandingLeg, deviations
 from pincal.types import Array, Index
+from pincal.words.numbers import POSES, amount
 
 Permutation = tuple[int, ...]
 
@@ -180,16 +181,13 @@ class LegImages:
         standing, distances = self.standing(element), self.distances(element)
         fits = np.zeros((count, count), dtype=bool)
         for index, image in np.argwhere(distances <= 2.0 * NEARLY):
-            fits[index, image] = not self.exceeding(index, element, standing[image], tolerance)
+            fits[index, image] = not self.deviation(index, element, standing[image], tolerance)
         rows, to = linear_sum_assignment(np.where(fits, distances, 1e6))
         return tuple(to.tolist()) if fits[rows, to].all() else ()
 
-    def exceeding(
-        self, index: int, element: Element, image: StandingLeg, tolerance: float
-    ) -> Difference | None:
-        """Return the first difference of a carried leg from its image beyond a tolerance."""
-        for difference in differences(self.shapes[index], element, image):
-            counts = self.readings or not difference.of_sensor
-            if counts and difference.exceeds(tolerance, self.size):
-                return difference
-        return None
+    def deviation(self, index: int, element: Element, image: StandingLeg, tolerance: float) -> str:
+        """Return the first deviation of a carried leg from its image beyond a tolerance, if any."""
+        for quantity, value, unit in deviations(self.shapes[index], element, image, self.readings):
+            if not value <= tolerance * (self.size if unit == "m" else 1.0):
+                return quantity + f", by {amount(value, unit, 4, POSES)}" * (value < np.inf)
+        return ""

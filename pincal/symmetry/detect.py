@@ -2,13 +2,13 @@
 
 The candidates are elements that carry every leg onto a leg within a tolerance. The group is their
 largest closed subset, with isometries made exact; each element is then checked again with these.
-For every other element that leg points suggest, the difference that breaks it is named.
+For every other element that leg points suggest, a deviation that breaks it is named.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property, lru_cache
 
@@ -17,11 +17,9 @@ from scipy.optimize import linear_sum_assignment
 
 from pincal.errors import SymmetryError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.closing import home_mode
-from pincal.model import Leg, Mechanism
-from pincal.model.checks import ALIKE, EXACT, number_of
+from pincal.model import Mechanism
+from pincal.model.checks import ALIKE, number_of
 from pincal.symmetry.candidates import NEARLY, LegImages, Permutation
-from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import (
     Element,
     distinct,
@@ -32,9 +30,8 @@ from pincal.symmetry.elements import (
     place_of,
     product_table,
     subgroups,
-    wrapped,
 )
-from pincal.symmetry.shapes import HOME, Difference, no_symmetries
+from pincal.words.numbers import listed
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,18 +49,25 @@ class SymmetryGroup:
     """Whether sensors were compared too; if not, legs move alike but may read differently."""
 
     @cached_property
-    def breaks(self) -> tuple[Difference, ...]:
-        """First difference that breaks each of the other elements that the leg points suggest."""
-        fits, breaks = LegImages(self.mechanism, self.readings), []
+    def breaks(self) -> dict[str, dict[Element, str]]:
+        """Other elements that leg points suggest, with a leg that differs, by the difference."""
+        fits, breaks = _leg_images(self.mechanism, self.readings), dict[str, dict[Element, str]]()
         for element in sorted(_meant(fits), key=place_of):
-            if any(np.abs(element.matrix - e.matrix).max() < NEARLY for e in self.elements):
-                continue
-            turned_over = self.mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
-            if turned_over and fits.home_moves(element) > NEARLY * fits.size:
-                continue  # a machine upside down is no intended symmetry
-            if broken := _first_break(fits, element, self.tolerance):
-                breaks.append(broken)
-        return tuple(breaks)
+            near = min(np.abs(element.matrix - e.matrix).max() for e in self.elements) < NEARLY
+            if not near and (broken := _deviation(fits, element, self.tolerance)):
+                leg, difference = broken
+                breaks.setdefault(difference, {})[element] = leg
+        return breaks
+
+    @property
+    def reasons(self) -> list[str]:
+        """Sentences that say why other elements are no symmetries, one for each difference."""
+        sentences = []
+        for difference, legs in self.breaks.items():
+            differing = list(dict.fromkeys(legs.values()))
+            verb = f"differ{'s' * (len(differing) == 1)} from what is carried there in"
+            sentences.append(f"{listed(legs)}: {listed(differing)} {verb} {difference}")
+        return sentences
 
     @cached_property
     def name(self) -> str:
@@ -103,7 +107,7 @@ class SymmetryGroup:
             carriers.setdefault(permutation[first], element)
         if leg is None and len(carriers) < len(names):
             missed = next(name for index, name in enumerate(names) if index not in carriers)
-            broken = "; ".join(no_symmetries(self.breaks))
+            broken = "; ".join(self.reasons)
             raise SymmetryError(
                 f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {missed}"
                 f"{broken and f' ({broken})'}. "
@@ -117,7 +121,7 @@ class SymmetryGroup:
 
     def __str__(self) -> str:
         """Return a text with the elements, and a line for each broken symmetry."""
-        broken = (f"  no symmetry: {sentence}" for sentence in no_symmetries(self.breaks))
+        broken = (f"  no symmetry: {sentence}" for sentence in self.reasons)
         return "\n".join((f"{self.name}: {', '.join(map(str, self.elements))}", *broken))
 
 
@@ -153,10 +157,13 @@ def symmetry_group(
     return _group(mechanism, number_of(tolerance, "tolerance", SymmetryError), readings)
 
 
+_leg_images = lru_cache(maxsize=4)(LegImages)  # its candidates serve every tolerance
+
+
 @lru_cache(maxsize=64)
 def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGroup:
     """Return the symmetry group of a mechanism, cached: see ``symmetry_group``."""
-    fits = LegImages(mechanism, readings)
+    fits = _leg_images(mechanism, readings)
     permuted = {e: p for e in fits.candidates if (p := fits.permutation(e, tolerance))}
     elements, permutations = list(permuted), list(permuted.values())
     chosen = distinct(elements, permutations)
@@ -174,83 +181,30 @@ def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGr
 
 
 def _meant(fits: LegImages) -> list[Element]:
-    """Return a group of elements that leg points suggest, with exact isometries.
+    """Return elements that leg points suggest, with exact isometries; none turns home over.
 
-    Elements about the base's z axis are preferred if nearly as good: a fit spreads one leg's error.
+    Elements about the base's z axis are preferred: a fit spreads one leg's error.
     """
     elements = fits.candidates
     labels = [tuple(linear_sum_assignment(fits.distances(e))[1].tolist()) for e in elements]
     closed = [elements[i] for i in largest_closed(product_table(elements, labels))]
-    fitted = exact(closed, fits.centres, fits.size)
-    drawn = [upright for element in fitted if (upright := _about_z(element))]
-    if len(drawn) == len(fitted):
-        off_drawn, off_fitted = (
-            max(fits.distances(element).min(axis=1).max() for element in version)
-            for version in (drawn, fitted)
-        )
-        if off_drawn <= len(fits.shapes) * off_fitted + EXACT:
-            return drawn
-    return fitted
+    fitted, drawn = exact(closed, fits.centres, fits.size), list[Element]()
+    for Q in (element.matrix for element in fitted):
+        flat = Element(float(np.arctan2(Q[1, 0], Q[0, 0])), bool(np.linalg.det(Q[:2, :2]) < 0.0))
+        turn = isometry(flat.matrix @ np.diag([1.0, 1.0, np.sign(Q[2, 2])]))
+        drawn.append(Element.of(turn, turn))
+    near = all(fits.distances(element).min(axis=1).max() < NEARLY for element in drawn)
+    meant, space = drawn if near else fitted, fits.mechanism.platform.space
+    over = (space == 3 and e.matrix[2, 2] < 0.0 and fits.home_moves(e) > NEARLY for e in meant)
+    return [element for element, upside_down in zip(meant, over, strict=True) if not upside_down]
 
 
-def _about_z(element: Element) -> Element | None:
-    """Return the element about the base's z axis that is near another element, or None."""
-    Q = element.matrix
-    side = np.sign(np.linalg.det(Q[:2, :2]))
-    turn = Element(float(np.arctan2(Q[1, 0], Q[0, 0])), bool(side < 0.0)).matrix.copy()
-    turn[2, 2] = np.sign(Q[2, 2])
-    if np.linalg.norm(turn - element.turns, axis=(1, 2)).max() > NEARLY:
-        return None
-    return Element.of(isometry(turn), isometry(turn))
-
-
-def _first_break(fits: LegImages, element: Element, tolerance: float) -> Difference | None:
-    """Return the first difference that breaks an element, in a parameter where possible."""
-    legs, size = fits.mechanism.legs, fits.size
-    moves = fits.home_moves(element) > tolerance * max(1.0, size)
+def _deviation(fits: LegImages, element: Element, tolerance: float) -> tuple[str, str] | None:
+    """Return a leg that differs from what an element carries there, and in what, by how much."""
     standing = fits.standing(element)
     for index, distances in enumerate(fits.distances(element)):
-        if moves and fits.readings and any(sensor.homed for sensor in legs[index].sensors):
-            return Difference(HOME, None, element=element, leg=legs[index].name)
-        order = np.argsort(distances)
-        near = order[distances[order] <= distances.min() + ALIKE].tolist()
-        differing = [fits.exceeding(index, element, standing[i], tolerance) for i in near]
-        if all(differing):
-            image = legs[near[0]]
-            named = _named(fits, legs[index], element, image)
-            differs = next((d for d in named if d.exceeds(tolerance, size)), differing[0])
-            if differs is not None:
-                return replace(differs, element=element, leg=image.name)
+        near = np.flatnonzero(distances <= distances.min() + ALIKE).tolist()
+        broken = [fits.deviation(index, element, standing[i], tolerance) for i in near]
+        if all(broken):
+            return fits.mechanism.leg_names[near[0]], broken[0]
     return None
-
-
-def _description(leg: Leg) -> tuple[object, ...]:
-    """Return what the numbers of a leg mean: names, active joints, kinds of coordinates."""
-    placements = (joint.placement for joint in (*leg.joints, *leg.points))
-    kinds = [c.kind for placement in placements for c in placement.coordinates]
-    return leg.parameter_names, leg.active, kinds
-
-
-def _named(fits: LegImages, leg: Leg, element: Element, image: Leg) -> Iterator[Difference]:
-    """Yield differences of a carried leg's parameters and constants from those of its image."""
-    carried, drawn = carry(leg.without_terms, element), canonical(image.without_terms)
-    if _description(carried) != _description(drawn):  # the same numbers mean other places
-        return
-
-    def apart(value: float, unit: str) -> float:
-        return abs(wrapped(value) if unit == "rad" else value)
-
-    before, after = carried.nominal_by_name, drawn.nominal_by_name
-    for name, unit in drawn.units.items():
-        yield Difference(f"parameter {name!r}", apart(before[name] - after[name], unit), unit)
-    platform = fits.mechanism.platform
-    if home_mode(carried, platform) != home_mode(drawn, platform):
-        yield Difference("working mode (the side on which the leg bends)", None)
-    for a, b, unit in zip(carried.sensors, drawn.sensors, drawn.reading_units, strict=True):
-        if not fits.readings or (a.form, a.direction) != (b.form, b.direction):
-            continue
-        gains, offsets = zip(a.constants(before), b.constants(after), strict=True)
-        yield Difference("gain of the sensor", abs(gains[0] - gains[1]))
-        yield Difference("offset of the sensor", apart(offsets[0] - offsets[1], unit), unit)
-        if not (isinstance(a.zero, str) or isinstance(b.zero, str)):
-            yield Difference("zero of the sensor", apart(a.zero - b.zero, unit), unit)

@@ -1,4 +1,4 @@
-"""Shape of a leg in the base frame, and the differences between a carried leg and another.
+"""Shape of a leg in the base frame, and how far a carried leg deviates from another.
 
 A leg closed at a pose is described by the axes of its joints and the point where it meets the
 platform, independently of the frames in which it was drawn. A carried leg equals another leg if
@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -25,56 +25,11 @@ from pincal.model import LOAD, Joint
 from pincal.model.checks import wrapped
 from pincal.symmetry.elements import Element, applied
 from pincal.types import Array
-from pincal.words.numbers import POSES, amount, listed
 
-HOME = "home pose"
-HOME_MOVES = "the home pose, from which sensors count, is carried elsewhere"
+Deviation: TypeAlias = tuple[str, float, str]
+"""What differs, by how much (infinite if it cannot be compared), and the unit: m, rad or 1."""
 _READINGS = np.linspace(-1.0, 1.0, 7)
 """Distances from the leg's position at which sensors are compared, [rad], or over its size."""
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One quantity in which two legs differ."""
-
-    quantity: str
-    deviation: float | None
-    """Size of the difference, in the unit; None where it is not a number."""
-    unit: str = "1"
-    """Unit of the deviation: m, rad or 1."""
-    of_sensor: bool = False
-    """Whether only the sensors differ: the legs move alike, their readings differ."""
-    element: Element | None = None
-    """The element that the difference keeps out of a group."""
-    leg: str = ""
-    """Name of the leg onto which the element should have carried another leg."""
-
-    def exceeds(self, tolerance: float, size: float) -> bool:
-        """Return whether it exceeds a tolerance, relative to a size [m] for lengths."""
-        scale = size if self.unit == "m" else 1.0
-        return self.deviation is None or not self.deviation <= tolerance * scale
-
-    def __str__(self) -> str:
-        """Return a sentence that says why the element is no symmetry."""
-        return no_symmetries([self])[0]
-
-
-def no_symmetries(breaks: Sequence[Difference]) -> list[str]:
-    """Return sentences that say why elements are no symmetries, one for each reason."""
-    by_reason: dict[str, list[Difference]] = {}
-    for broken in breaks:
-        reason = broken.quantity
-        if broken.deviation is not None:
-            reason += f", by {amount(broken.deviation, broken.unit, 4, POSES)}"
-        by_reason.setdefault(reason, []).append(broken)
-    sentences = []
-    for reason, breaks_alike in by_reason.items():
-        elements = listed(dict.fromkeys(str(broken.element) for broken in breaks_alike))
-        legs = list(dict.fromkeys(broken.leg for broken in breaks_alike))
-        differ = f"differ{'s' * (len(legs) == 1)} from what is carried there in {reason}"
-        cause = HOME_MOVES if breaks_alike[0].quantity == HOME else f"{listed(legs)} {differ}"
-        sentences.append(f"{elements}: {cause}")
-    return sentences
 
 
 class StandingLeg:
@@ -102,8 +57,6 @@ class StandingLeg:
         """Points where the leg meets the platform, shape (n_ends, 3), [m]."""
         self.tip: Array = self.tips.mean(axis=0)
         """Mean of the tips, shape (3,), [m]."""
-        self.ends = [point.name for point in leg.points]
-        """Names of the platform points at the tips."""
         turns = np.array([[joint.turns] for joint in self.joints])
         along = ((self.tip - frames[:, :3, 3]) * self.directions).sum(axis=1, keepdims=True)
         nearest = (frames[:, :3, 3] + along * self.directions) * (np.arange(3) < space)
@@ -141,10 +94,10 @@ class StandingLeg:
         """Structure of the leg, by name of quantity; it must be equal for equal legs."""
         names = [joint.name for joint in self.joints]
         return {
-            "sequence of joints": [joint.kind for joint in self.joints],
-            "active joint": self.active,
+            "kinds of joints": [joint.kind for joint in self.joints],
+            "active joints": self.active,
             "gears": [names.index(joint.leader.joint) for joint in self.joints],
-            "end": sorted(str(end.closes) for end in self.closure.leg.every_end),
+            "ends": sorted(str(end.closes) for end in self.closure.leg.every_end),
         }
 
     @property
@@ -154,10 +107,13 @@ class StandingLeg:
         return self.points[turning[0]] if turning else self.tip
 
     def like(self, first: StandingLeg, element: Element) -> StandingLeg:
-        """Return this leg, a tree, with joints and ends in the order of a leg that is carried here.
+        """Return this leg with joints and ends, if it is a tree, in the order of a carried leg.
 
         Each joint of the carried leg is matched with the nearest axis of the same kind.
         """
+        counts = [(len(leg.joints), leg.build["ends"]) for leg in (first, self)]
+        if not first.closure.leg.ends or counts[0] != counts[1]:
+            return self
         size, Q = self.closure.leg.size, element.matrix
         apart = np.abs((first.directions @ Q.T) @ self.directions.T)
         far = distance_matrix(applied(element.base, first.points), self.points) / size
@@ -172,78 +128,85 @@ class StandingLeg:
         return ordered
 
 
-def differences(first: StandingLeg, element: Element, second: StandingLeg) -> Iterator[Difference]:
-    """Yield the differences of a leg, carried by an element, from a leg at the carried pose."""
-    builds = first.build, second.build
-    ends_alike = builds[0]["end"] == builds[1]["end"]
-    if first.closure.leg.ends and ends_alike and len(first.joints) == len(second.joints):
-        second = second.like(first, element)
-        builds = builds[0], second.build
-    unlike = [quantity for quantity, value in builds[0].items() if builds[1][quantity] != value]
+def deviations(
+    first: StandingLeg, element: Element, second: StandingLeg, readings: bool
+) -> Iterator[Deviation]:
+    """Yield what may differ between a carried leg and a leg at the carried pose.
+
+    Sensors come last, if ``readings`` is true.
+    """
+    second = second.like(first, element)
+    builds = zip(first.build.items(), second.build.values(), strict=True)
+    unlike = [quantity for (quantity, value), of_second in builds if value != of_second]
     if unlike or not second.reached:
-        reach = "reach of the pose that home is carried to"
-        yield Difference(next(iter(unlike), reach), None)
+        yield (*unlike, "reach of the pose that home is carried to")[0], np.inf, "1"
         return
     ratios = [[abs(j.leader.ratio) for j in shape.joints] for shape in (first, second)]
-    yield Difference("ratios of gears", float(np.ptp(ratios, axis=0).max(initial=0.0)), "m")
+    yield "ratios of gears", float(np.ptp(ratios, axis=0).max(initial=0.0)), "m"
     shifts = applied(element.base, np.vstack((first.points, first.tips)))
     shifts = shifts - np.vstack((second.points, second.tips))
-    apart = lengths(shifts[:, : first.closure.platform.space])
-    names = [joint.name for joint in second.joints]
-    for name, shift in zip([*names, *second.ends], apart.tolist(), strict=True):
-        yield Difference(f"position of joint {name!r}", shift, "m")
-    yield from _turns_apart(first, element.matrix, second)
-
-
-def _turns_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> Iterator[Difference]:
-    """Yield the differences of joints, carried by Q, in directions, limits and readings."""
-    pointing = first.pointing if first.pointing == second.pointing else []
-    names = [joint.name for joint in second.joints]
-    axes = [index for index in range(len(names)) if index not in pointing]
-    axial = [[np.linalg.det(Q) if joint.turns else 1.0] for joint in first.joints]
-    directions = axial * first.directions @ Q.T
+    names = [joint.name for joint in second.joints] + ["tip"] * len(second.tips)
+    apart = lengths(shifts[:, : first.closure.platform.space]).tolist()
+    for name, shift in zip(names, apart, strict=True):
+        yield f"position of {name!r}", shift, "m"
+    axial = [[np.linalg.det(element.matrix) if joint.turns else 1.0] for joint in first.joints]
+    directions = axial * first.directions @ element.matrix.T
     signs = np.where((directions * second.directions).sum(axis=1) >= 0.0, 1.0, -1.0)
     chords = lengths(signs[:, None] * directions - second.directions)
-    angles = 2.0 * np.arcsin(np.minimum(1.0, chords / 2.0))
-    for index in axes:
-        yield Difference(f"orientation of joint {names[index]!r}", float(angles[index]), "rad")
+    yield from _turns_apart(first, element.matrix, second, signs, chords)
+    if readings:
+        yield from _readings_apart(first, second, signs[first.active])
+
+
+def _turns_apart(
+    first: StandingLeg, Q: Array, second: StandingLeg, signs: Array, chords: Array
+) -> Iterator[Deviation]:
+    """Yield the differences of joints, carried by Q, in directions and limits."""
+    pointing = first.pointing if first.pointing == second.pointing else []
+    axes = [(i, joint) for i, joint in enumerate(second.joints) if i not in pointing]
+    for index, joint in axes:
+        turn = 2.0 * float(np.arcsin(min(1.0, chords[index] / 2.0)))
+        yield f"orientation of {joint.name!r}", turn, "rad"
     if pointing:
-        bars: float | None = 0.0  # no half-spaces to compare
-        if first.barred is not None and second.barred is not None:
-            shifts = np.linalg.norm((first.barred @ Q.T)[:, None] - second.barred, axis=2)
-            alike = len(first.barred) == len(second.barred)
-            bars = float(shifts.min(axis=1, initial=np.inf).max(initial=0.0)) if alike else None
-        yield Difference(f"orientation of joint {names[pointing[0]]!r}", bars, "rad")
-    for index in axes:
-        if first.joints[index].limited or second.joints[index].limited:
-            yield _limits_apart(first, second, index, signs[index])
-    yield from _readings_apart(first, second, signs[first.active])
+        name = second.joints[pointing[0]].name
+        yield f"limits of {name!r}", _bars_apart(first, Q, second), "rad"
+    for index, joint in axes:
+        between = _limits_apart(first, second, index, signs[index])
+        yield f"limits of {joint.name!r}", between, "rad" if joint.turns else "m"
 
 
-def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: float) -> Difference:
+def _bars_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> float:
+    """Return the largest angle between half-spaces, carried by Q, that bar two slides."""
+    if first.barred is None or second.barred is None:
+        return 0.0
+    if len(first.barred) != len(second.barred):
+        return np.inf
+    bars = np.linalg.norm((first.barred @ Q.T)[:, None] - second.barred, axis=2)
+    return float(bars.min(axis=1, initial=np.inf).max(initial=0.0))
+
+
+def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: float) -> float:
     """Return the difference of a joint's limits, relative to the legs' positions."""
+    if not (first.joints[index].limited or second.joints[index].limited):
+        return 0.0
     carried, ends = (
         np.array((leg.joints[index].lower, leg.joints[index].upper)) - leg.positions[index]
         for leg in (first, second)
     )
-    carried, joint = carried if sign > 0.0 else -carried[::-1], second.joints[index]
+    carried = carried if sign > 0.0 else -carried[::-1]
     with np.errstate(invalid="ignore"):
         shifts = np.where(carried == ends, 0.0, np.abs(carried - ends))
-    finite = bool(np.isfinite(shifts).all())
-    if joint.turns and finite:
+    if second.joints[index].turns and np.isfinite(shifts).all():
         shifts = np.abs(wrapped(shifts))
-    deviation = float(shifts.max()) if finite else None
-    return Difference(f"limits of joint {joint.name!r}", deviation, "rad" if joint.turns else "m")
+    return float(shifts.max())
 
 
-def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> Iterator[Difference]:
+def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> Iterator[Deviation]:
     """Yield the differences of active joints' motions at equal readings."""
     leg, image = first.closure.leg, second.closure.leg
-    if [sensor.homed for sensor in leg.sensors] != [sensor.homed for sensor in image.sensors]:
-        yield Difference("zero of the sensor", None, of_sensor=True)
-        return
-    if len(leg.influences) != len(image.influences):
-        yield Difference("terms of the sensor", None, of_sensor=True)
+    homed = [[sensor.homed for sensor in of_leg.sensors] for of_leg in (leg, image)]
+    if homed[0] != homed[1] or len(leg.influences) != len(image.influences):
+        yield "zero or terms of the sensor", np.inf, "1"
         return
     home = sensor_law(first.closure).reading(first.positions[None, first.active])
     scales = [1.0 if unit == "rad" else leg.size for unit in leg.reading_units]
@@ -256,6 +219,5 @@ def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> It
         position = sensor_law(shape.closure).position(known)
         moved.append(sides * (position - shape.positions[shape.active]))
     for unit, shifts in zip(leg.reading_units, (moved[0] - moved[1]).T, strict=True):
-        if unit == "rad":
-            shifts = wrapped(shifts)
-        yield Difference("reading of the sensor", float(np.abs(shifts).max()), unit, of_sensor=True)
+        apart = wrapped(shifts) if unit == "rad" else shifts
+        yield "reading of the sensor", float(np.abs(apart).max()), unit
