@@ -16,7 +16,7 @@ LINES = {
     "": 262,
     "architectures": 616,
     "calibration": 6_919,
-    "cli": 2_648,
+    "cli": 2_636,
     "design": 2_558,
     "estimation": 4_399,
     "files": 3_261,
@@ -24,10 +24,10 @@ LINES = {
     "instruments": 1_548,
     "kinematics": 3_418,
     "model": 3_562,
-    "show": 3_982,
-    "symmetry": 1_306,
+    "show": 3_979,
+    "symmetry": 1_220,
     "words": 958,
-    "workspace": 1_492,
+    "workspace": 1_444,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
@@ -36,7 +36,7 @@ MOST = {
     "largest folder": 16,
     "vague names": 0.01,
     "class names twice": 0,
-    "dataclasses": 130,
+    "dataclasses": 128,
     "complex functions": 0,
     "long signatures": 0,
     "imports inside functions": 0,

@@ -31,7 +31,7 @@ from pincal.symmetry.elements import (
 NONE = pincal.Margins.none()
 #: Grids that are coarse, and hold part of the workspace.
 GRIDS = {
-    "5R": ("x=-1.2:1.2:0.15", "y=0:1.8:0.15"),
+    "5R": ("x=-1.2:1.2:0.15", "y=0.02:1.82:0.15"),  # no position at a limit to rounding
     "3RRR": ("radius=0.02:0.8:0.1", "bearing [deg]=0:330:30"),
     "3RPR": ("radius=0.02:0.8:0.1", "bearing [deg]=0:330:30"),
     "3PRR": ("radius=0.02:0.8:0.1", "bearing [deg]=0:330:30"),
