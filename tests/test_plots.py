@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from arms import robot
+from command_line import done, run
+from lxml import etree
 from marks import quick
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -49,10 +52,11 @@ def test_axes_that_are_given_are_drawn_into(result: pincal.CalibrationResult) ->
     assert result.plot.residuals(ax=axes) is axes
 
 
-def test_every_chart_says_what_it_is(result: pincal.CalibrationResult) -> None:
-    """The docstring of a chart is its caption in the report."""
+def test_command_draws_every_chart(result: pincal.CalibrationResult) -> None:
+    """``pincal plot`` has a kind for each chart of ``result.plot``, and each says what it is."""
     kinds = {name for name in dir(result.plot) if not name.startswith("_")} - {"result"}
-    assert kinds
+    (offered,) = re.findall(r"KIND +One of ([\w, ]+)\.", done("plot", "--help").out)
+    assert kinds == set(offered.split(", "))
     assert all(getattr(result.plot, name).__doc__ for name in kinds)
 
 
@@ -114,3 +118,21 @@ def test_changes_move_the_platform_by_what_perturbed_machines_do(
     off = pincal.accuracy(result.identified, wrong, poses).position
     assert longest == pytest.approx(off, rel=0.03)  # to first order
     assert len(others) + 1 == sum(p.high > p.low for leg in result.legs for p in leg.parameters)
+
+
+def test_command_draws_across_a_page(result: pincal.CalibrationResult, tmp_path: Path) -> None:
+    """A vector figure 170 mm wide, letters of 7 to 9 points; wrong kinds say which."""
+    result.save(tmp_path / "result")
+    done("plot", tmp_path / "result", "residuals", "-o", tmp_path / "r.svg")
+    root = etree.parse(tmp_path / "r.svg").getroot()
+    assert float(root.get("width").removesuffix("pt")) == pytest.approx(170 / 25.4 * 72, abs=0.5)
+    styles = [text.get("style") for text in root.iter("{*}text")]
+    sizes = {float(size) for one in styles for size in re.findall(r"([\d.]+)px", one)}
+    assert sizes
+    assert min(sizes) >= 7.0
+    assert max(sizes) <= 9.0
+    wrong = run("plot", tmp_path / "result", "nothing", "-o", tmp_path / "n.svg")
+    assert wrong.code == 2
+    assert "residuals" in wrong.err
+    assert "Value error" not in wrong.err
+    assert not (tmp_path / "n.svg").exists()

@@ -1,14 +1,16 @@
-"""``pincal view``: mechanisms, poses and results, as a page or a picture."""
+"""``pincal view``, ``picture`` and ``plot``: mechanisms, poses and results, as pictures."""
 
 import sys
 import webbrowser
 from collections.abc import Callable
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from threading import Event
 from typing import Annotated, Any
 
 import typer
+from matplotlib.figure import Figure
 
 import pincal
 from pincal import CalibrationResult, FileError, MeasurementError, Mechanism, MechanismError, Plan
@@ -18,6 +20,8 @@ from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import is_folder
 from pincal.files.output import refuse_existing
 from pincal.files.table import read_table
+from pincal.show.charts import Plots
+from pincal.show.style import PAGE_WIDTH, drawing, picture_path, save_figure
 from pincal.show.view.scene import Scene
 
 Shown = Annotated[
@@ -147,3 +151,30 @@ def _say_unreached(scene: Scene) -> None:
         if problems := list(filter(None, body.problems)):
             text = f"the {name} is not fully drawn at {len(problems)} of {len(body.problems)}"
             stderr.print(f"{text} poses; the first: {problems[0]}")
+
+
+#: Names of charts of ``result.plot``.
+Kind = StrEnum("Kind", [name for name in vars(Plots) if name[0] != "_"])  # type: ignore[misc]
+
+
+@command
+def plot(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Folder of 'pincal calibrate -o RESULT'.")
+    ],
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(Kind)}.")],
+    output: Annotated[Path, output_option("FILE.svg|pdf|png", "The figure.")],
+    force: Force = False,
+) -> None:
+    """Draw a figure of a calibration.
+
+    It is 170 mm wide, with letters of 7 to 9 points. KIND is residuals (by row) or images
+    (residuals in camera images).
+    """
+    calibrated = pincal.load_result(result)
+    refuse_existing(picture_path(output), force=force)
+    with working("drawing"), drawing():
+        figure = Figure((PAGE_WIDTH / 25.4, 4.15), layout="compressed")
+        getattr(calibrated.plot, kind)(figure.subplots())
+        save_figure(figure, output, force=force, whole=True)
+    wrote(output)

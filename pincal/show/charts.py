@@ -1,8 +1,8 @@
 """Charts of a calibration, as a metrologist would ask for them.
 
-``Plots`` is the registry of charts, and the class of ``result.plot``. The report draws its charts
-by name; the methods' docstrings are their captions. Residuals after the fit are divided by their
-standard deviations σ√(1−h), with leverage h.
+``Plots`` is the registry of charts, and the class of ``result.plot``. ``pincal plot`` and the
+report draw its charts by name; the methods' docstrings are their captions. Residuals after the fit
+are divided by their standard deviations σ√(1−h), with leverage h.
 """
 
 import numpy as np

@@ -96,8 +96,10 @@ def picture_path(path: str | Path) -> Path:
     return path
 
 
-def save_figure(drawn: Figure, path: str | Path, *, force: bool = False) -> Path:
-    """Write a figure, cropped, in the format of its name, and return the path.
+def save_figure(
+    drawn: Figure, path: str | Path, *, force: bool = False, whole: bool = False
+) -> Path:
+    """Write a figure in the format of its name, cropped unless ``whole``, and return the path.
 
     Raises:
         FileError: the name ends otherwise, the file exists and ``force`` is not set, or it
@@ -105,7 +107,7 @@ def save_figure(drawn: Figure, path: str | Path, *, force: bool = False) -> Path
     """
     path = picture_path(path)
     with writing(path, force=force) as scratch:
-        scratch.write_bytes(figure_bytes(drawn, path.suffix[1:].lower()))
+        scratch.write_bytes(figure_bytes(drawn, path.suffix[1:].lower(), whole=whole))
     return path
 
 
