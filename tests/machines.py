@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
 from pincal import End, Follows, Joint, Leg, Mechanism, Placement, Platform, Sensor
-from pincal.files.urdf_writing import leg_links, leg_urdf
+from pincal.files.urdf import leg_links, leg_urdf
 from pincal.kinematics.configurations import joints_at
 from pincal.model.placement import Coordinate, placement_of
 

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from yaml import safe_load
 
 import pincal
-from pincal.files.urdf import read_urdf
-from pincal.files.urdf_writing import leg_links, leg_urdf
+from pincal.files.urdf import leg_links, leg_urdf, read_urdf
 
 LIMIT = '<limit effort="1" velocity="20"/>'
 

@@ -24,7 +24,7 @@ import pincal
 from pincal import FileError, MechanismError, PincalError
 from pincal.files import mechanism_folders
 from pincal.files.mechanism_folders import bundled
-from pincal.files.urdf_writing import leg_links, leg_urdf, platform_urdf
+from pincal.files.urdf import leg_links, leg_urdf, platform_urdf
 from pincal.kinematics.closure import LegClosure
 from pincal.model.consistency import home_gap
 from pincal.workspace.criteria import in_workspace

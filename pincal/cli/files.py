@@ -19,8 +19,7 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, write_mechanism
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
-from pincal.files.urdf import XACRO
-from pincal.files.urdf_writing import leg_urdf
+from pincal.files.urdf import XACRO, leg_urdf
 from pincal.formats import arm, closed, firmware, mjcf, users_urdf
 from pincal.formats.delta_printer import delta_printer
 from pincal.option import option

@@ -12,7 +12,7 @@ from typing import Protocol
 from pincal.errors import FileError, MechanismError, located
 from pincal.files.mechanism_yaml import YAML, mechanism_yaml, read_mechanism
 from pincal.files.output import writing
-from pincal.files.urdf_writing import leg_urdf, platform_urdf
+from pincal.files.urdf import leg_urdf, platform_urdf
 from pincal.model import Mechanism
 from pincal.model.checks import must_be
 

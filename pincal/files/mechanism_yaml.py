@@ -14,8 +14,7 @@ import yaml
 
 from pincal.errors import MechanismError, located
 from pincal.files.text import plain_number
-from pincal.files.urdf import read_leg, read_points
-from pincal.files.urdf_writing import leg_links
+from pincal.files.urdf import leg_links, read_leg, read_points
 from pincal.files.yaml import Entry, Readers, read_yaml
 from pincal.model import Joint, Leg, Load, Mechanism, Platform, Sensor
 from pincal.model.checks import LARGEST

@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
 from pincal.files.tree import Edge, Tree, at_home, root_of, turns, with_ranges
-from pincal.files.urdf_writing import numbers_text, xml_text
+from pincal.files.urdf import numbers_text, xml_text
 from pincal.kinematics.assembly import assembled
 from pincal.model import Closing, Follows, Joint, Leg, Mechanism, Placement, Platform, placement_of
 from pincal.model.checks import LARGEST

@@ -18,8 +18,7 @@ from lxml import etree
 from pincal.errors import MechanismError
 from pincal.files.text import plain_number, read_xml
 from pincal.files.tree import Edge, Tree, root_of, turns, with_ranges
-from pincal.files.urdf import edges_of, joint_of, number_of
-from pincal.files.urdf_writing import numbers_text
+from pincal.files.urdf import edges_of, joint_of, number_of, numbers_text
 from pincal.formats.closings import about
 from pincal.model import Joint, Placement, placement_of
 from pincal.model.checks import ROUNDING
