@@ -24,7 +24,7 @@ LINES = {
     "instruments": 1_548,
     "kinematics": 3_418,
     "model": 3_562,
-    "show": 3_981,
+    "show": 3_942,
     "symmetry": 1_220,
     "words": 958,
     "workspace": 1_444,

@@ -7,7 +7,6 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import as_mechanism
 from pincal.files.output import writing
 from pincal.files.table import write_table
-from pincal.formats import deployed as templates
 from pincal.formats.corrections import correction_grid, grid_columns
 from pincal.formats.data_sheet import deltakins, genhexkins, geometry_sheet
 from pincal.formats.deployed import Deployed, c_header, python_file
@@ -30,6 +28,7 @@ from pincal.model.checks import count_of
 from pincal.option import option, option_of
 from pincal.types import Array
 from pincal.words.numbers import Units, amount
+from pincal.words.wording import rendered
 from pincal.workspace.limits import Limits
 from pincal.workspace.sampling import sample_workspace
 
@@ -38,23 +37,7 @@ CORRECTIONS = "corrections.csv"
 _FITTED = 4000  # poses of LinuxCNC's deltas: of so many, 95 % are known to about 3 %
 _UNSEEN = 500  # poses at which a grid is tested; it is fitted to three per node and 500 more
 _FEW = 100  # fewest poses in a box, of which a quarter test the grid
-_GRID = """
-## A controller whose geometry cannot be changed
-
-Command `corrected(T)` (C: `{}_corrected(T, commanded)`) in place of T. `corrections.csv` has the
-grid: poses, and the pose to command for each; it is linear between them. Poses that were not used
-to fit the grid are then missed by {}; without corrections by {}.
-"""
 _log = logging.getLogger(__name__)
-_NEAR = (
-    "Give `near`, joints of the last call: faster, and certain if legs may bend in several ways."
-)
-_ARM = (
-    "An arm reaches a pose in several ways: `near`, joints of the last call, selects one; begin "
-    "with the joints that `forward` returns for the present readings. Without `near`, the search "
-    "starts from {} configurations, nearest first, until joints are within limits: it finds {} of "
-    "{} poses of the workspace, {} within limits. Neighbouring poses may be reached differently."
-)
 _TRIED = 100  # poses of an arm for which solutions are sought
 
 
@@ -125,7 +108,7 @@ def deploy(
     options = GridOptions(**correction)
     frames = () if result is None else result.measured_frames
     deployed = Deployed(as_mechanism(machine) if result is None else result.identified, *frames)
-    misses = ("", "")
+    misses: tuple[str, ...] = ()
     if options.grid:
         nominal = deployed.mechanism if result is None else result.nominal
         controller = as_mechanism(options.controller or nominal)
@@ -140,10 +123,10 @@ def deploy(
     prefix = "machine_" * prefix[:1].isdigit() + prefix
     files = {"kinematics.py": python_file(deployed), f"{prefix}.h": c_header(deployed, prefix)}
     files |= _linuxcnc(mechanism)
-    files[HOW_TO] = _how_to(deployed, prefix, source, LINUXCNC in files)
+    facts = {"source": source, "linuxcnc": LINUXCNC in files, "misses": misses}
+    files[HOW_TO] = _how_to(deployed, prefix=prefix, **facts)
     tables: dict[str, Any] = {SHEET: geometry_sheet(mechanism, uncertain, written)}
     if deployed.grid is not None:
-        files[HOW_TO] += _GRID.format(prefix, *misses)
         tables[CORRECTIONS] = written.written(grid_columns(mechanism, deployed.grid))
     with writing(folder, force=force, folder=(*files, *tables)) as scratch:
         for name, text in files.items():
@@ -201,53 +184,31 @@ def _with_grid(
     return replace(deployed, grid=grid), (after, before)
 
 
-def _example(deployed: Deployed) -> tuple[list[float], list[float], str]:
-    """Return a reachable pose (home if it is), its readings, and advice on ``near``."""
-    kinematics, poses, near = deployed.kinematics, [[*deployed.mechanism.platform.home]], _NEAR
+def _example(deployed: Deployed) -> tuple[list[float], list[float], dict[str, int]]:
+    """Return a reachable pose (home if it is), its readings, and how many poses an arm finds."""
+    kinematics, poses = deployed.kinematics, [[*deployed.mechanism.platform.home]]
     if any(leg.is_arm for leg in deployed.mechanism.legs):
         poses += sample_workspace(deployed.mechanism, _TRIED).tolist()
     solutions = [kinematics.inverse(kinematics.pose(*pose)) for pose in poses]
     reached = [place for place, solution in enumerate(solutions) if not solution.reason]
-    if tried := len(poses) - 1:
-        ways = [solutions[place].joints for place in reached if place]
-        within = sum(not kinematics.beyond_limits(joints) for joints in ways)
-        near = _ARM.format(len(deployed.tables["starts"]), len(ways), tried, within)
-    return poses[reached[0]], solutions[reached[0]].values, near
+    ways = [solutions[place].joints for place in reached if place]
+    within = sum(not kinematics.beyond_limits(joints) for joints in ways)
+    counts = {"found": len(ways), "tried": len(poses) - 1, "within": within}
+    return poses[reached[0]], solutions[reached[0]].values, counts
 
 
-def _how_to(deployed: Deployed, prefix: str, source: str, linuxcnc: bool) -> str:
+def _how_to(deployed: Deployed, **facts: Any) -> str:
     """Return the instructions for commanding the machine, in Markdown."""
-    mechanism = deployed.mechanism
-    shown, values, near = _example(deployed)
-    names, counts = mechanism.reading_names, mechanism.counts
-    units = zip(names, mechanism.reading_units, strict=True)
-    frames = "Poses are T_base_platform, in the frame that the machine was measured in."
-    if not (np.allclose(deployed.frame, np.eye(4)) and np.allclose(deployed.tool, np.eye(4))):
-        frames = (
-            "Poses are T_base_platform. `in_base(T)` converts a pose of the measured point in the "
-            "frame of the measurements (the tracker's) to such a pose; `in_frame(T)` converts back."
-        )
-    influences = "Nothing: the kinematics follow from readings alone."
-    if mechanism.influences:
-        loads = "; loads of gravity are computed where they are nan" * bool(mechanism.loaded)
-        influences = (
-            f"Terms depend on {', '.join(f'`{name}`' for name in mechanism.influences)}, in this "
-            "order the second argument of `inverse` and `forward`; unknown values are nan, which "
-            f"leaves their terms at the reference{loads}."
-        )
-    return Template(Path(templates.__file__).with_name(HOW_TO).read_text("utf-8")).substitute(
-        name=mechanism.name,
+    machine = deployed.mechanism
+    pose, values, arm = _example(deployed)
+    return rendered(
+        HOW_TO,
+        machine=machine,
+        pose=pose,
+        readings=list(zip(machine.reading_names, machine.reading_units, values, strict=True)),
+        arm=arm,
+        starts=len(deployed.tables["starts"]),
+        framed=not np.allclose((deployed.frame, deployed.tool), np.eye(4)),
         version=__version__,
-        source=source,
-        prefix=prefix,
-        PREFIX_READINGS=f"{prefix.upper()}_READINGS",
-        PREFIX_JOINTS=f"{prefix.upper()}_JOINTS",
-        further="| `linuxcnc.hal` | HAL lines for LinuxCNC's own kinematics |\n" * linuxcnc,
-        home=", ".join(map(repr, shown)),
-        coordinates=", ".join(mechanism.platform.coordinates),
-        readings=", ".join(f"{n} = {v:.9g}" for n, v in zip(names, values, strict=True)),
-        near=near,
-        units="\n".join(f"| {n} | {unit} | {counts.get(n) or '–'} |" for n, unit in units),
-        frames=frames,
-        influences=influences,
+        **facts,
     )

@@ -205,7 +205,7 @@ def _pages() -> Environment:
         loader=ChoiceLoader(
             [PackageLoader("pincal.words", ""), PackageLoader("pincal.show", "pages")]
         ),
-        autoescape=True,
+        autoescape=lambda name: not str(name).endswith(".md"),
         keep_trailing_newline=True,
         finalize=lambda value: (
             value
