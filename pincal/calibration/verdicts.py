@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -65,13 +64,13 @@ class Predictor(NamedTuple):
         row = len(calibration.measurements) - 1
         if self.fits is None and len(calibration.observation.external):
             return Checked(row, None)
-        last = calibration.rows(np.array([row]))
-        r, S, linear = self.predicted(last, [place])
+        last = Case(calibration.rows(np.array([row])), np.zeros(1, dtype=np.intp))
+        r, S, linear = self.predicted(last.calibration, [place])
         square, sigma, chance, worst, left = (v[0] for v in _row_verdicts(r, S, linear, slice(1)))
         if chance >= FALSE_ALARM:
             return Checked(row, float(sigma))
-        tried = list(faults_of_a_row(Case(calibration, np.array([row]))))
-        squares = _squares(*self.predicted(_righted(last, tried), [place] * len(tried))[:2])
+        tried = list(faults_of_a_row(last))
+        squares = _squares(*self.predicted(last.corrected(tried), [place] * len(tried))[:2])
         equations = max(int(linear.equations[0]), 1)
         nearly = _NEARLY * square if np.isfinite(square) else 0.0
         fits = (chdtrc(equations, squares) >= FALSE_ALARM) | (squares <= nearly)
@@ -120,17 +119,6 @@ class Predictor(NamedTuple):
             R = np.asarray(np.linalg.qr(rows, mode="r"))
             W = np.linalg.solve(R.T, linear.jacobian.mT)
             return linear.residuals, self.excess**2 * np.eye(W.shape[2]) + W.mT @ W, linear
-
-
-def _righted(row: Calibration, hypotheses: Sequence[Hypothesis]) -> Calibration:
-    """Return the calibration of a row as it should read under hypotheses, a row each."""
-    trials = [hypothesis.right(row.measurements) for hypothesis in hypotheses]
-    data = replace(
-        row.measurements.rows(np.zeros(len(trials), dtype=np.intp)),
-        poses=np.concatenate([trial.poses for trial in trials]),
-        readings=np.concatenate([trial.readings for trial in trials]),
-    )
-    return replace(row, measurements=data, known_noise=None)
 
 
 def _squares(r: Array, S: Array) -> Array:

@@ -21,11 +21,10 @@ from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.identifiable import DIFFER, changes_of
-from pincal.estimation.problem import LegBlock, Linear, Problem
+from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.start import aligned, placed
 from pincal.estimation.system import NormalEquations, System
-from pincal.estimation.unknowns import BlockRows, External, State, unknowns
-from pincal.kinematics.batches import parted
+from pincal.estimation.unknowns import External, State, unknowns
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import inverse
@@ -124,6 +123,17 @@ class Case:
         (judged,) = judge(self)
         return replace(judged, elsewhere=other_side(self.mechanism, judged.matrices))
 
+    def corrected(self, hypotheses: Sequence[Hypothesis]) -> Calibration:
+        """Return the rows as they should read under hypotheses, one below the other."""
+        every = self.calibration.measurements
+        trials = [hypothesis.right(every).rows(self.rows) for hypothesis in hypotheses]
+        data = replace(
+            every.rows(np.tile(self.rows, len(trials))),
+            poses=np.concatenate([trial.poses for trial in trials]),
+            readings=np.concatenate([trial.readings for trial in trials]),
+        )
+        return replace(self.calibration, measurements=data, known_noise=None)
+
     def few(self, count: int) -> Case:
         """Return the case with at most ``count`` of its rows, evenly spaced."""
         places = np.linspace(0, len(self.rows) - 1, min(count, len(self.rows)))
@@ -145,7 +155,7 @@ class Judged:
 
     hypothesis: Hypothesis
     calibration: Calibration
-    """The corrected measurements."""
+    """Measurements as corrected by this hypothesis and others, one below the other."""
     matrices: Array
     """Corrected poses in the base frame, shape (N, 4, 4); NaN where unknown, and everywhere if
     readings and measurements cannot be aligned."""
@@ -228,17 +238,21 @@ class Judged:
 
 def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list[Judged]:
     """Return the fit of all legs to the measurements corrected by each hypothesis."""
-    calibration, rows = case.calibration, case.rows
-    data = [hypothesis.right(calibration.measurements).rows(rows) for hypothesis in hypotheses]
-    calibrations = [replace(calibration, measurements=right) for right in data]
-    poses, blocks = _placed(case, calibrations), []
-    for corrected, matrices in zip(calibrations, poses, strict=True):
-        used = corrected.used & np.reshape(np.isfinite(matrices).all(axis=(1, 2)), (-1, 1))
-        of_used = np.flatnonzero(used.any(axis=1))
-        blocks.append(corrected.leg_block(range(used.shape[1]), of_used, used[of_used]))
-    closed = _closed(blocks, [T[block.data_rows] for block, T in zip(blocks, poses, strict=True)])
-    fits = zip(hypotheses, calibrations, poses, blocks, closed, strict=True)
-    return [_fit(*fit) for fit in fits]
+    if not hypotheses:
+        return []
+    calibration, platform = case.corrected(hypotheses), case.mechanism.platform
+    parts = np.split(np.arange(len(calibration.measurements)), len(hypotheses))
+    matrices = _placed(case, calibration, parts)
+    known = np.isfinite(matrices).all(axis=(1, 2))
+    used, legs = calibration.used & known[:, None], range(len(case.mechanism.legs))
+    roots = calibration.noise.poses.roots
+    block = calibration.leg_block(legs, np.arange(len(matrices)), used, roots)
+    at_home = np.where(known[:, None, None], matrices, platform.home_pose.as_matrix())
+    state = State(case.mechanism.parameters.values, at_home)
+    with np.errstate(all="ignore"):  # wrong units may overflow
+        nominal = Problem(block, calibration.observation).evaluate(state)
+    fits = zip(hypotheses, parts, strict=True)
+    return [_fit(hypothesis, calibration, part, matrices, nominal) for hypothesis, part in fits]
 
 
 def other_side(mechanism: Mechanism, matrices: Array) -> float:
@@ -249,123 +263,97 @@ def other_side(mechanism: Mechanism, matrices: Array) -> float:
     return float((margins(mechanism, mechanism.platform.from_matrices(known)).type2 < 0.0).mean())
 
 
-def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
-    """Return the poses of several calibrations, (N, 4, 4) each; NaN where forward fails."""
-    platform = case.mechanism.platform
-    if case.alone or not calibrations:
-        blocks = [(rows.observation, rows.measurements) for rows in calibrations]
-        return [placed(seen, data, seen.external.start) for seen, data in blocks]
-    readings = np.concatenate([calibration.measurements.readings for calibration in calibrations])
-    known = np.isfinite(readings).all(axis=1)
-    distinct, index = np.unique(readings[known], axis=0, return_inverse=True)
+def _placed(case: Case, calibration: Calibration, parts: Sequence[Index]) -> Array:
+    """Return the poses of all hypotheses, (N, 4, 4), whose rows are in parts; NaN if unknown."""
+    platform, data, observation = (
+        case.mechanism.platform,
+        calibration.measurements,
+        calibration.observation,
+    )
+    if case.alone:
+        return placed(observation, data, observation.external.start)
+    known = np.isfinite(data.readings).all(axis=1)
+    distinct, index = np.unique(data.readings[known], axis=0, return_inverse=True)
     with np.errstate(all="ignore"):
         solution = forward(case.mechanism, distinct)
-    reached = np.tile(platform.home_pose.as_matrix(), (len(readings), 1, 1))
-    converged = np.zeros(len(readings), dtype=bool)
+    reached = np.tile(platform.home_pose.as_matrix(), (len(known), 1, 1))
+    converged = np.zeros(len(known), dtype=bool)
     converged[known] = solution.converged[index.ravel()]
     reached[converged] = platform.matrices(solution.poses[index.ravel()][converged[known]])
-    parts, aligned_poses = (parted(v, len(calibrations)) for v in (reached, known, converged)), []
-    for calibration, T, known_rows, good in zip(calibrations, *parts, strict=True):
-        data, observation = calibration.measurements, calibration.observation
-        problem = Problem(calibration.leg_block([0], np.arange(len(data))), observation)
-        start = State(case.mechanism.legs[0].nominal, T, external=observation.external.start)
-        aligned_poses.append(np.full_like(T, np.nan))
+    poses = np.full_like(reached, np.nan)
+    for part in parts:
+        rows, seen, T, good = data.rows(part), observation.at(part), reached[part], converged[part]
+        problem = Problem(calibration.leg_block([0], part), seen)
+        start = State(case.mechanism.legs[0].nominal, T, external=seen.external.start)
         with suppress(MeasurementError):
-            if good.any() and 2 * good.sum() >= max(known_rows.sum(), 6):
-                external, _ = aligned(problem, data, start, good)
-                matrices = placed(observation, data, external, platform.from_matrices(T))
-                certain = good | np.isfinite(data.poses).all(axis=1)
-                aligned_poses[-1][certain] = matrices[certain]
-    return aligned_poses
-
-
-def _closed(blocks: Sequence[LegBlock], poses: Sequence[Array]) -> list[BlockRows]:
-    """Return the residuals of blocks of the nominal legs at poses, (N, 4, 4), in one evaluation."""
-    if not blocks:
-        return []
-    ends = np.cumsum([len(T) for T in poses])
-    block = replace(
-        blocks[0],
-        readings=np.concatenate([block.readings for block in blocks]),
-        influences={
-            n: np.concatenate([b.influences[n] for b in blocks]) for n in blocks[0].influences
-        },
-        data_rows=np.concatenate([block.data_rows for block in blocks]),
-        used=np.concatenate([block.used for block in blocks]),
-        sigma=np.concatenate([block.sigma for block in blocks]),
-    )
-    nominal = np.concatenate([leg.nominal for leg in block.legs])
-    with np.errstate(all="ignore"):  # wrong units may overflow
-        closed = block.evaluate(State(nominal, np.concatenate(poses)))
-    columns = [np.split(column, ends[:-1]) for column in (*closed[:4], *closed.joints)]
-    e, by_pose, by_parameter, by_measured, *joints = columns
-    by_joints = zip(*joints, strict=True)
-    return list(map(BlockRows, e, by_pose, by_parameter, by_measured, by_joints))
+            if good.any() and 2 * good.sum() >= max(known[part].sum(), 6):
+                external, _ = aligned(problem, rows, start, good)
+                certain = good | np.isfinite(rows.poses).all(axis=1)
+                matrices = placed(seen, rows, external, platform.from_matrices(T))
+                poses[part[certain]] = matrices[certain]
+    return poses
 
 
 def _fit(
-    hypothesis: Hypothesis,
-    calibration: Calibration,
-    matrices: Array,
-    block: LegBlock,
-    closed: BlockRows,
+    hypothesis: Hypothesis, calibration: Calibration, part: Index, matrices: Array, nominal: Linear
 ) -> Judged:
-    """Return the fit of each leg to corrected measurements at poses of shape (N, 4, 4)."""
-    mechanism, count = calibration.mechanism, len(calibration.mechanism.legs)
-    used, rows, counts = block.used, block.data_rows, block.used.sum(axis=0)
+    """Return the fit of each leg in some rows of corrected measurements at poses (N, 4, 4)."""
+    mechanism, block = calibration.mechanism, nominal.problem.leg_block
+    used, count = block.used[part], len(mechanism.legs)
     (gap, stroke), bent = np.full((2, count), np.nan), np.zeros(count, dtype=int)
     with np.errstate(all="ignore"):
-        for i in np.flatnonzero(counts > 1).tolist():
-            leg, served, of_leg = mechanism.legs[i], used[:, i], block.leg_rows[i]
-            readings = calibration.measurements.readings[rows[served], mechanism.reading_columns[i]]
+        for i in np.flatnonzero(used.sum(axis=0) > 1).tolist():
+            leg, rows, of_leg = mechanism.legs[i], part[used[:, i]], block.leg_rows[i]
+            readings = calibration.measurements.readings[rows, block.reading_columns[i]]
             deviations = (readings - np.median(readings, axis=0))[:, None]
-            by_reading = closed.by_measured[served, of_leg, block.reading_columns[i]]
+            by_reading = nominal.by_measured[rows, of_leg, block.reading_columns[i]]
             moved = np.linalg.norm(by_reading * deviations, axis=(1, 2))
-            joints, T = closed.joints[i][served], matrices[rows[served]]
-            closure = nominal_legs(mechanism)[i].evaluate(joints, T)
+            joints = nominal.state.joints[i][rows]
+            closure = nominal_legs(mechanism)[i].evaluate(joints, matrices[rows])
             bent[i] = (mode_sign(closure) * home_mode(leg, mechanism.platform) < 0.0).sum()
-            gap[i] = np.median(_missed(closed.value[served, of_leg])) / leg.size
+            gap[i] = np.median(_missed(nominal.conditions[rows, of_leg])) / leg.size
             stroke[i] = np.median(moved) / leg.size
     # the platform moves legs without a sensor, too
     stroke[[not leg.sensors for leg in mechanism.legs]] = np.nan_to_num(stroke).max()
-    left = cache(partial(_nearest, calibration, matrices, block, closed))
-    return Judged(hypothesis, calibration, matrices, counts, gap, stroke, bent, left)
+    left = cache(partial(_nearest, calibration, part, nominal))
+    return Judged(
+        hypothesis, calibration, matrices[part], used.sum(axis=0), gap, stroke, bent, left
+    )
 
 
 def _missed(conditions: Array) -> Array:
     return np.nan_to_num(np.linalg.norm(conditions, axis=1), nan=np.inf)
 
 
-def _nearest(
-    calibration: Calibration, matrices: Array, block: LegBlock, closed: BlockRows, place: int
-) -> Array:
+def _nearest(calibration: Calibration, part: Index, nominal: Linear, place: int) -> Array:
     """Return a leg's closure residuals, over its size, for the best machine near nominal, (N,).
 
     To first order at the measured poses: a few reweighted Gauss–Newton steps from nominal, none
     longer than machines differ from drawings.
     """
-    leg, served = block.legs[place], np.flatnonzero(block.used[:, place])
-    rows, of_leg = block.data_rows[served], block.leg_rows[place]
+    block = nominal.problem.leg_block
+    leg, of_leg, used = block.legs[place], block.leg_rows[place], block.used[part, place]
+    rows = part[used]
     roots, observation = calibration.noise.poses.roots[rows], calibration.observation.at(rows)
     problem = Problem(calibration.leg_block([place], rows, None, roots), observation)
-    nominal = Linear(
+    linear = Linear(
         problem,
-        State(leg.nominal, matrices[rows]),
-        closed.value[served, of_leg],
-        closed.by_parameter[served, of_leg, block.columns[place]],
-        closed.by_pose[served, of_leg],
-        closed.by_measured[served, of_leg, block.reading_columns[place]],
+        State(leg.nominal, nominal.state.matrices[rows]),
+        nominal.conditions[rows, of_leg],
+        nominal.by_parameter[rows, of_leg, block.columns[place]],
+        nominal.by_pose[rows, of_leg],
+        nominal.by_measured[rows, of_leg, block.reading_columns[place]],
     )
-    differ, left = changes_of(leg, leg.size), np.full(len(matrices), np.nan)
+    differ, left = changes_of(leg, leg.size), np.full(len(part), np.nan)
     free = replace(unknowns([leg]), priors=differ)
-    every, conditions = np.ones(len(rows), dtype=bool), nominal.conditions
+    every, conditions = np.ones(len(rows), dtype=bool), linear.conditions
     system = System(problem, free, every, known=True, robust=True)
     with np.errstate(all="ignore"):
         for _ in range(_STEPS):
-            squares = (nominal.whitened(conditions) ** 2).sum(axis=1)
+            squares = (linear.whitened(conditions) ** 2).sum(axis=1)
             scaled = system.with_priors(differ / system.scale(squares))
-            step = NormalEquations.of(scaled.triangle(nominal, system.weights(squares))).step()
+            step = NormalEquations.of(scaled.triangle(linear, system.weights(squares))).step()
             step /= max(1.0, float(np.abs(step / differ).max(initial=0.0)))
-            conditions = nominal.after(step)
-        left[rows] = _missed(conditions) / leg.size
+            conditions = linear.after(step)
+        left[used] = _missed(conditions) / leg.size
     return left
