@@ -243,7 +243,7 @@ def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list
     calibration, platform = case.corrected(hypotheses), case.mechanism.platform
     parts = np.split(np.arange(len(calibration.measurements)), len(hypotheses))
     matrices = _placed(case, calibration, parts)
-    known = np.isfinite(matrices).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     used, legs = calibration.used & known[:, None], range(len(case.mechanism.legs))
     roots = calibration.noise.poses.roots
     block = calibration.leg_block(legs, np.arange(len(matrices)), used, roots)
@@ -265,14 +265,11 @@ def other_side(mechanism: Mechanism, matrices: Array) -> float:
 
 def _placed(case: Case, calibration: Calibration, parts: Sequence[Index]) -> Array:
     """Return the poses of all hypotheses, (N, 4, 4), whose rows are in parts; NaN if unknown."""
-    platform, data, observation = (
-        case.mechanism.platform,
-        calibration.measurements,
-        calibration.observation,
-    )
+    platform, observation = case.mechanism.platform, calibration.observation
+    data = calibration.measurements
     if case.alone:
         return placed(observation, data, observation.external.start)
-    known = np.isfinite(data.readings).all(axis=1)
+    known = np.asarray(np.isfinite(data.readings).all(axis=1))
     distinct, index = np.unique(data.readings[known], axis=0, return_inverse=True)
     with np.errstate(all="ignore"):
         solution = forward(case.mechanism, distinct)

@@ -145,26 +145,19 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
             "their units, and that this is the right mechanism"
         )
     lost, lengths = lost_directions(J)
-    directions = lost / lengths
     size, n_legs, gain = problem.size, legs.parameter.shape[2], legs.gain
-    moved = (directions @ T.T)[:, :n_legs].T
-    matrices = platform.matrices(legs.poses)
-    scaled = problem.observation.setup.frameless
-    _, inside, frames = split_frames(mechanism, matrices, gain, moved, scaled=scaled)
+    matrices, scaled = platform.matrices(legs.poses), problem.observation.setup.frameless
+    every_gain = np.pad(gain, ((0, 0), (0, 0), (0, len(T) - n_legs)))
+    directions = T @ (lost / lengths).T
+    gauge, inside, frames = split_frames(mechanism, matrices, every_gain, directions, scaled=scaled)
     if not problem.equations.any() or (inside.shape[1] and len(lost) == T.shape[1]):
         raise ObservabilityError(
             "what is measured determines no parameter: readings that are no more than the "
             "platform's freedoms fit any machine. Measure the platform, or a part of its pose, or "
             "distances"
         )
-    if inside.shape[1]:
-        every_gain = np.pad(gain, ((0, 0), (0, 0), (0, len(T) - n_legs)))
-        every = (directions @ T.T).T
-        gauge, *_ = split_frames(mechanism, matrices, every_gain, every, scaled=scaled)
-        directions = np.asarray(np.linalg.lstsq(T, gauge, rcond=None)[0].T)
-        moved = gauge[:n_legs]
     outside, of_legs = problem.observation.external, plausible_changes(mechanism)
-    U, shares, _ = np.linalg.svd(moved / of_legs[:, None], full_matrices=False)
+    U, shares, _ = np.linalg.svd(gauge[:n_legs] / of_legs[:, None], full_matrices=False)
     # frame and target, or camera and markers, may move together without the legs
     moved = U[:, shares > NEGLIGIBLE * shares.max(initial=0.0)] * of_legs[:, None]
     n_still = moved.shape[1] - frames.shape[1]
@@ -177,8 +170,7 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
     weights = np.concatenate(
         (1.0 / of_legs**2, np.array(counts) / (DIFFER * outside.sizes(size)) ** 2)
     )
-    nearest = (directions @ T.T * weights) @ T
-    return Gauge(nearest, tuple(findings), moved if findings else None, frames)
+    return Gauge((gauge.T * weights) @ T, tuple(findings), moved if findings else None, frames)
 
 
 def _freedoms(frames: Array, mechanism: Mechanism, setup: Setup) -> list[Finding]:
