@@ -306,7 +306,7 @@ def first_named(found: pincal.Explanation) -> list[str]:
     What slipped or drifts, else the first candidate.
     """
     for one in found.slips[:1]:
-        if not one.steady:
+        if one.term == "step":
             return [f"slip of {one.what} {one.name} at {one.row}"]
         every = ((one.what, one.name), *one.or_else)
         return [f"drift of {what} {name}".strip() for what, name in every]

@@ -16,7 +16,7 @@ from measured import workspace
 import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
-from pincal.estimation.observability.courses import Slip, slips
+from pincal.estimation.observability.courses import Score, slips
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 SIZE = np.array([2e-4, -6e-5, 1e-4])
@@ -65,7 +65,7 @@ def measured(
     return plain, pincal.simulate(plain, truth, poses, NOISE, seed=seed).measurements
 
 
-def slipped(plain: pincal.Mechanism, data: pincal.Measurements) -> list[Slip]:
+def slipped(plain: pincal.Mechanism, data: pincal.Measurements) -> list[Score]:
     """Return the slips of a calibration's residuals."""
     (one,) = fitted(started(prepared(plain, data, noise=NOISE))).fits
     return slips(one)
@@ -80,7 +80,7 @@ def test_a_slip_is_named_with_its_row_and_direction(name: str, what: str, after:
     (found,) = slipped(plain, after(plain, data, np.arange(COUNT) >= ROW))
     alike = {kind for kind, _ in found.or_else}
     assert what in {found.what, *alike}
-    assert not found.steady
+    assert found.term == "step"
     assert abs(found.row - ROW) <= 1
     wanted = np.array([5e-4]) if what == "reading" else SIZE[: len(found.size)]
     if found.what == what:
@@ -92,7 +92,7 @@ def test_a_slip_is_named_with_its_row_and_direction(name: str, what: str, after:
 def test_a_drift_is_no_slip(after: After) -> None:
     plain, data = measured("3RRR")
     found = slipped(plain, after(plain, data, np.linspace(0.0, 1.0, COUNT)))[0]
-    assert found.steady
+    assert found.term == "order"
     known = np.array([5e-4]) if after is _of_reading else SIZE[:2]
     np.testing.assert_allclose(np.linalg.norm(found.size), np.linalg.norm(known), rtol=0.4)
 

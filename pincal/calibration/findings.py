@@ -11,7 +11,7 @@ from pincal.calibration.promise import UNEXPLAINED
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import IdentifiedParameter
 from pincal.estimation.fit import Fit, Outlier
-from pincal.estimation.observability.courses import Score, Slip, scores, slips
+from pincal.estimation.observability.courses import Score, scores, slips
 from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.observability.residuals import together
 from pincal.estimation.system import FALSE_ALARM
@@ -173,23 +173,21 @@ def lacking(fits: Fits) -> list[Finding]:
 
 def _named_error(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
     """Return a finding for an error that residuals follow, a step, or a pose that moved."""
-    values: dict[str, Any] = {"quantity": worst.quantity, "p_value": p_value}
+    values: dict[str, Any] = {"quantity": worst.name, "p_value": p_value}
     if worst.correlation:
         return finding("rows-alike", correlation=worst.correlation, **values)
     if worst.term == "step":
         return _named_step(p_value, worst, fit)
     if worst.term != "again":
         return finding("model-lacks", term=worst.term, **values)
-    values |= {"size": worst.size, "unit": fit.problem.quantities.get(worst.quantity, "m")}
+    values |= {"size": worst.total, "unit": worst.unit}
     rows = fit.rows[_repeated_poses(data, fit.rows)[worst.place]]
     return finding("reference-moved", rows, pose=worst.place, **values)
 
 
 def _named_step(p_value: float, worst: Score, fit: Fit) -> Finding:
     """Return a finding for the reading, target or frame whose step explains residuals best."""
-    unit = fit.problem.quantities.get(worst.quantity, "m")
-    tested = Slip("quantity", worst.quantity, ("",), unit, worst.row, np.array([worst.size]))
-    slip = next((slip for slip in slips(fit) if not slip.steady), tested)
+    slip = next((slip for slip in slips(fit) if slip.term == "step"), worst)
     values: dict[str, Any] = {"what": slip.what, "name": slip.name, "unit": slip.unit}
     rows = (int(fit.rows[slip.row]),)
     return finding("step", rows, size=slip.total, p_value=p_value, **values)

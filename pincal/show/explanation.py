@@ -10,7 +10,7 @@ from pincal.calibration.terms.kinds import GROWTH, PULLEY, READINGS, parts_of, t
 from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
-from pincal.estimation.observability.courses import Slip
+from pincal.estimation.observability.courses import Score
 from pincal.estimation.system import FALSE_ALARM
 from pincal.model import ORIGIN, Mechanism
 from pincal.model.checks import counted
@@ -115,7 +115,7 @@ def _or_else(alternatives: Sequence[str]) -> str:
     return f"; or it is {words}, which these rows cannot separate" if words else ""
 
 
-def _slip_line(slip: Slip) -> str:
+def _slip_line(slip: Score) -> str:
     subject, look = slipped(slip.what, slip.name), SLIPPED[slip.what][1]
     alternatives = [slipped(*other).rstrip(",") for other in slip.or_else]
     shown = amount(slip.total, slip.unit)
@@ -125,7 +125,7 @@ def _slip_line(slip: Slip) -> str:
         axes = "the platform's axes" if slip.what == "target" else "the axes of the measurements"
         shown += f" ({along}, in {axes})"
     course = f"from data row {slip.row + 1} on {subject} is off by {shown}"
-    if slip.steady:
+    if slip.term == "order":
         course = f"{subject} drifts, by {shown} from the first row to the last"
     return f"{course}: {look}{_or_else(alternatives)} ({chance(slip.p_value)})"
 

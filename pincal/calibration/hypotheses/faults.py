@@ -296,19 +296,17 @@ def _moved_zeros(calibration: Calibration, offsets: Array) -> tuple[Array, Array
     Offsets and mask are (n_readings,). ψ = d k q + γ grows with γ; for q = d k ψ + γ, γ falls by
     d k times the offset. Zeros with priors, ties or terms, or of several sensors, stay at nominal.
     """
-    unknowns, legs = calibration.unknowns, calibration.mechanism.legs
+    unknowns, parameters = calibration.unknowns, calibration.mechanism.parameters
     free = unknowns.map != 0.0
     alone = free[:, free.sum(axis=0) == 1].sum(axis=1) == 1
-    start, first = np.concatenate([leg.nominal for leg in legs]), 0
-    identified = np.zeros(len(offsets), dtype=bool)
-    for leg, columns in zip(legs, calibration.mechanism.reading_columns, strict=True):
-        zeros = [sensor.offset for sensor in leg.sensors]
-        for i, (sensor, name) in enumerate(zip(leg.sensors, zeros, strict=True), columns.start):
-            if isinstance(name, str) and zeros.count(name) == 1 and not sensor.terms:
-                place = first + leg.parameter_names.index(name)
-                gain, _ = sensor.constants(leg.nominal_by_name)
-                if alone[place] and np.isinf(unknowns.priors[place]):
-                    start[place] += offsets[i] * (1.0 if sensor.form == "reading" else -gain)
-                    identified[i] = True
-        first += len(leg.parameters)
+    start, identified = parameters.values.copy(), np.zeros(len(offsets), dtype=bool)
+    sensors = [(leg, sensor) for leg in calibration.mechanism.legs for sensor in leg.sensors]
+    for i, (leg, sensor) in enumerate(sensors):
+        shared = [other.offset for other in leg.sensors].count(sensor.offset) > 1
+        if isinstance(sensor.offset, str) and not (shared or sensor.terms):
+            place = parameters.ids.index(f"{leg.name}.{sensor.offset}")
+            gain, _ = sensor.constants(leg.nominal_by_name)
+            if alone[place] and np.isinf(unknowns.priors[place]):
+                start[place] += offsets[i] * (1.0 if sensor.form == "reading" else -gain)
+                identified[i] = True
     return start, identified

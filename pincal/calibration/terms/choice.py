@@ -28,7 +28,7 @@ from pincal.calibration.terms.kinds import Pair, term_text
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.calibration.validation import converged, held_rows, predictions
 from pincal.errors import PincalError
-from pincal.estimation.observability.courses import Slip, slips
+from pincal.estimation.observability.courses import Score, slips
 from pincal.types import Array, Mask
 
 LEVEL = 0.01
@@ -105,7 +105,7 @@ class Explanation:
     """Index of the simplest model within one standard error of the best."""
     candidates: Sequence[Candidate]
     """Screen of the geometry's residuals."""
-    slips: Sequence[Slip]
+    slips: Sequence[Score]
     """Slips and drifts, unless a term explains them better; rows are those of the measurements."""
     lost: Sequence[tuple[int, str]]
     """Folds, from 0, that were not compared, as geometry needs their rows, with the reason."""
@@ -138,7 +138,7 @@ class Explanation:
 
 def choose(
     calibration: Calibration, pairs: Sequence[Pair], fits: Fits | None = None
-) -> tuple[list[Model], int, list[Candidate], list[Slip], list[tuple[int, str]]]:
+) -> tuple[list[Model], int, list[Candidate], list[Score], list[tuple[int, str]]]:
     """Choose terms among places and kinds; return an ``Explanation``'s fields behind its result.
 
     The calibration is ``started``; ``fits`` are its fits of all rows, if known. Rows of the set
@@ -214,13 +214,13 @@ def _errors_along(models: Sequence[Model], fitted: Mask, pairs: Sequence[Pair]) 
             yield model.errors(held)
 
 
-def _slips(models: Iterable[Model]) -> list[Slip]:
+def _slips(models: Iterable[Model]) -> list[Score]:
     """Return slips and drifts, with rows of the measurements.
 
     They are found in the residuals of the geometry; as long as a term is more significant than the
     clearest slip, in those of the model with that term, which may have caused the slip.
     """
-    slipped: list[Slip] = []
+    slipped: list[Score] = []
     for index, model in enumerate(models):
         if index and not (slipped and model.chance < slipped[0].p_value):
             break

@@ -8,12 +8,12 @@ tests are combined into one: the probability of any such finding by chance.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.observability.residuals import TAKEN, Residuals
+from pincal.estimation.observability.residuals import TAKEN, Amplitudes, Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.influences import sides
@@ -29,56 +29,40 @@ ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
 What = Literal["frame", "target", "orientation", "reading", "quantity"]
 
 
-class Score(NamedTuple):
-    """Result of one test: the quantity, the course of its error, and the p-value."""
+@dataclass(frozen=True)
+class Score:
+    """An error of something that was measured, its course, and the result of its test."""
 
-    quantity: str
-    """Reading or measured quantity, as ``Problem.quantities`` names it; all ``"readings"`` or
-    ``"positions"``, or the ``"lengths"`` of the legs."""
-    term: str
-    """``"angle"``, ``"pose"``, ``"order"``, ``"approach"``, ``"step"`` or ``"again"``."""
-    p_value: float
+    what: What
+    name: str
+    """Name of the target or reading, empty for the frame; or a quantity, as ``Problem.quantities``
+    names it; all ``"readings"`` or ``"positions"``, or the ``"lengths"`` of the legs."""
+    unit: str = "m"
+    """``"m"`` or ``"rad"``."""
+    axes: tuple[str, ...] = ("",)
+    """Axes of the components of ``size``, such as ``("x", "y", "z")``."""
+    term: str = ""
+    """``"angle"``, ``"pose"``, ``"order"`` (a drift), ``"approach"``, ``"step"`` or ``"again"``."""
+    p_value: float = 1.0
     """p-value; for a step that of a step at any row."""
-    share: float
+    share: float = 0.0
     """Share of χ² that the error explains."""
+    size: Array = field(default_factory=lambda: np.zeros(0))
+    """Error after a step, or of a drift or a pose from its first measurement to its last, shape
+    (f,), [m] or [rad], in the axes of the measurements; a target's in those of the platform."""
     row: int = 0
     """First row after a step, as an index in the fit."""
-    size: float = 0.0
-    """Error after a step, or motion of a pose from its first measurement to its last, [rad] or
-    [m]."""
     place: str = ""
     """Name of a pose that was measured repeatedly."""
     correlation: float = 0.0
     """Correlation from row to row that a step or a drift leaves, 0 if not significant."""
+    or_else: tuple[tuple[What, str], ...] = ()
+    """What else may have slipped: these rows cannot distinguish it."""
 
     @property
     def common(self) -> bool:
         """Whether the test is of all readings, positions or lengths together."""
-        return self.quantity in (ALL, FRAME, LENGTHS)
-
-
-@dataclass(frozen=True)
-class Slip:
-    """A frame, target or reading that slips at some row, or drifts."""
-
-    what: What
-    name: str
-    """Name of the target or reading; empty for the frame."""
-    axes: tuple[str, ...]
-    """Axes of the components of ``size``, such as ``("x", "y", "z")``."""
-    unit: str
-    """``"m"`` or ``"rad"``."""
-    row: int = 0
-    """First row after a slip, as an index in the fit; 0 for a drift."""
-    size: Array = field(default_factory=lambda: np.zeros(0))
-    """Error after a slip, or of a drift from the first row to the last, shape (f,), [m] or [rad],
-    in the axes of the measurements; a target's in the axes of the platform."""
-    steady: bool = False
-    """Whether it is a drift over the whole run rather than a slip."""
-    p_value: float = 1.0
-    """Probability of any such slip or drift by chance, with all that was tried."""
-    or_else: tuple[tuple[What, str], ...] = ()
-    """What else may have slipped: these rows cannot distinguish it."""
+        return self.what == "quantity" and self.name in (ALL, FRAME, LENGTHS)
 
     @property
     def total(self) -> float:
@@ -96,30 +80,34 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
         return []
     residuals, results = Residuals.of(fit), list[Score]()
     used, errors = residuals.used, errors_of(fit, residuals.used)
-    kinds, of_kind = _kinds(fit, errors)
+    (kinds, of_kind), units = _kinds(fit, errors), fit.problem.quantities
     for quantity, term, course in _course_tests(fit, errors, used):
         followed, correlation = residuals.amplitudes(course, TAKEN), 0.0
         if term == "order" and followed.p_value < FALSE_ALARM:
             peers = of_kind[kinds[quantity]] if quantity in errors else course
             correlation = residuals.alike_after(course, peers)
-        share = followed.inside / residuals.chi2
-        results.append(Score(quantity, term, followed.p_value, share, correlation=correlation))
+        tested = Score("quantity", quantity, units.get(quantity, "m"), term=term)
+        results.append(_scored(residuals, tested, followed, correlation=correlation))
     for name, error in errors.items():
+        tested, correlation = Score("quantity", name, units[name], term="step"), 0.0
         row, after, step = residuals.step(error)
-        correlation, size, share = 0.0, -float(step.values[0]), step.inside / residuals.chi2
         if step.p_value < FALSE_ALARM:
             correlation = residuals.alike_after(after, of_kind[kinds[name]])
-        results.append(Score(name, "step", step.p_value, share, row, size, correlation=correlation))
+        results.append(_scored(residuals, tested, step, row=row, correlation=correlation))
     for name, error in errors.items():
         for place, rows in (repeated or {}).items():
             at_place, since = np.isin(used, rows), np.zeros((len(used), 1, 1))
             if at_place.sum() > 1:  # the time about its mean, 1 from first to last
                 times = used[at_place]
                 since[at_place, 0, 0] = (times - times.mean()) / np.ptp(times)
-            drift = residuals.amplitudes(error * since)
-            share, size = drift.inside / residuals.chi2, -float(drift.values[0])
-            results.append(Score(name, "again", drift.p_value, share, size=size, place=place))
+            tested = Score("quantity", name, units[name], term="again", place=place)
+            results.append(_scored(residuals, tested, residuals.amplitudes(error * since)))
     return results
+
+
+def _scored(residuals: Residuals, tested: Score, answer: Amplitudes, **values: Any) -> Score:
+    share, size = answer.inside / residuals.chi2, -answer.values
+    return replace(tested, p_value=answer.p_value, share=share, size=size, **values)
 
 
 def _kinds(
@@ -220,59 +208,58 @@ def _frame_errors(fit: Fit, errors: Mapping[str, Array]) -> tuple[Array, tuple[s
     return moved[:, :, known], tuple(np.array(list("xyz"[: len(known)]))[known].tolist())
 
 
-def slips(fit: Fit) -> list[Slip]:
-    """Return slips and drifts, the most significant first; empty if there are none."""
+def slips(fit: Fit) -> list[Score]:
+    """Return slips and drifts, the most significant first; empty if there are none.
+
+    Their p-values are of any slip or drift by chance, with all that was tried.
+    """
     if fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
         return []
-    residuals, clearest = Residuals.of(fit), list[Slip]()
+    residuals, clearest = Residuals.of(fit), list[Score]()
     errors = errors_of(fit, residuals.used)
     candidates, (_, of_kind) = (list(_candidates(fit, errors, residuals.used)), _kinds(fit, errors))
     while len(clearest) < _MAX_SLIPS:
-        tried = [trial for slip, W in candidates for trial in _slip_or_drift(residuals, slip, W)]
-        tried.sort(key=lambda trial: (trial[0].p_value, -trial[1]))
+        tried = [trial for slip, W in candidates for trial in _step_and_drift(residuals, slip, W)]
+        tried.sort(key=lambda trial: (trial[0].p_value, -trial[0].share))
         if not tried or tried[0][0].p_value * len(tried) >= FALSE_ALARM:
             break
-        first, inside, white = tried[0]
+        first, white = tried[0]
         free = max(residuals.degrees_of_freedom - len(first.size), 1)
-        clear = CLEAR**2 * (residuals.chi2 - inside) / free  # as in F tests
+        clear = CLEAR**2 * (1.0 - first.share) / free  # as in F tests
         indistinct = tuple(
             (slip.what, slip.name)
-            for slip, inside_too, _ in tried[1:]
-            if slip.steady == first.steady and inside - inside_too < clear
+            for slip, _ in tried[1:]
+            if slip.term == first.term and first.share - slip.share < clear
             if slip.unit == first.unit and len(slip.size) == len(first.size)
         )
-        chance = first.p_value * len(tried)
         if residuals.alike_after(white, of_kind[first.what == "reading", first.unit]):
             break  # neither a slip nor a drift
+        chance = first.p_value * len(tried)
         clearest.append(replace(first, p_value=chance, or_else=indistinct))
         residuals = residuals.without(white)
     return clearest
 
 
-def _slip_or_drift(
-    residuals: Residuals, slip: Slip, W: Array
-) -> Iterator[tuple[Slip, float, Array]]:
-    """Yield a slip at its most significant row, and a drift of the same quantities.
-
-    Each comes with the χ² that it explains and the white rows of its error.
-    """
+def _step_and_drift(residuals: Residuals, slip: Score, W: Array) -> Iterator[tuple[Score, Array]]:
+    """Yield a slip at its most significant row, and a drift; each with its white rows."""
     row, after, step = residuals.step(W)
-    yield replace(slip, row=row, size=-step.values, p_value=step.p_value), step.inside, after
+    yield _scored(residuals, slip, step, term="step", row=row), after
     time = (residuals.used - residuals.used[0]) / max(float(np.ptp(residuals.used)), 1.0)
     steady = W * time[:, None, None]
     drift = residuals.amplitudes(steady)
     if drift.rank == W.shape[2]:
-        name = replace(slip, size=-drift.values, steady=True, p_value=drift.p_value)
-        yield name, drift.inside, steady
+        yield _scored(residuals, slip, drift, term="order"), steady
 
 
-def _candidates(fit: Fit, errors: Mapping[str, Array], used: Index) -> Iterator[tuple[Slip, Array]]:
+def _candidates(
+    fit: Fit, errors: Mapping[str, Array], used: Index
+) -> Iterator[tuple[Score, Array]]:
     """Yield what may slip, with the white rows of its unit errors, shape (n_used, m, f)."""
     problem, platform = fit.problem, fit.problem.platform
     readings = [name for leg in problem.legs for name in leg.reading_names]
     quantities = zip(readings, errors.values(), problem.quantities.values(), strict=False)
     for name, error, unit in quantities:
-        yield Slip("reading", name, ("",), unit), error
+        yield Score("reading", name, unit), error
     if not problem.latent:
         return
     state, axes = fit.last.state, tuple("xyz"[: platform.space])
@@ -280,12 +267,12 @@ def _candidates(fit: Fit, errors: Mapping[str, Array], used: Index) -> Iterator[
     for target in problem.observation.setup.targets:
         white = _target_errors(fit, errors, target)
         if white.any():
-            yield Slip("target", target, axes, "m"), white @ turns[:, : len(axes), : len(axes)]
+            yield Score("target", target, "m", axes), white @ turns[:, : len(axes), : len(axes)]
     moved, known = _frame_errors(fit, errors)
     if known:
-        yield Slip("frame", "", known, "m"), moved
+        yield Score("frame", "", "m", known), moved
     angles = platform.freedoms[platform.lengths :]
     if angles:
         turned = np.concatenate([errors[f"measured {name}"] for name in angles], axis=2)
         if turned.any(axis=(0, 1)).all():
-            yield Slip("orientation", ORIGIN, angles, "rad"), turned
+            yield Score("orientation", ORIGIN, "rad", angles), turned
