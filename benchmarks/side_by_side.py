@@ -227,7 +227,6 @@ def _calibrated(pincal: Any, one: Scenario, rows: dict[str, Any]) -> dict[str, A
         "chi2": float(result.reduced_chi2) * int(result.degrees_of_freedom),
         "dof": int(result.degrees_of_freedom),
         "converged": bool(result.converged),
-        "evaluations": int(getattr(result, "evaluations", 0) or result.iterations),
     }
 
 
@@ -296,7 +295,7 @@ def compared(
 
 HEAD = (
     "mechanism", "method", "rows", "parameters: largest", "rms", "rms, gauge apart",
-    "standard errors", "χ² old", "χ² new", "dof", "converged", "evaluations", "time",
+    "standard errors", "χ² old", "χ² new", "dof", "converged", "time",
 )  # fmt: skip
 
 
@@ -306,8 +305,8 @@ def row_of(one: Scenario, old: dict[str, Any], new: dict[str, Any]) -> tuple[str
     if "refused" in old or "refused" in new:
         words = [a.get("refused", "gives a result") for a in (old, new)]
         if words[0] == words[1]:
-            return (*first, f"both refuse: {_short(words[0])}", *[""] * 9)
-        return (*first, f"old: {_short(words[0])}; new: {_short(words[1])}", *[""] * 9)
+            return (*first, f"both refuse: {_short(words[0])}", *[""] * 8)
+        return (*first, f"old: {_short(words[0])}; new: {_short(words[1])}", *[""] * 8)
     change = np.array(new["values"]) - np.array(old["values"])
     std, other = np.array(old["std"]), np.array(new["std"])
     free = std > 1e-9 * std.max()
@@ -315,7 +314,7 @@ def row_of(one: Scenario, old: dict[str, Any], new: dict[str, Any]) -> tuple[str
     ratio = other[free] / std[free]
     pairs = [
         f"{a:.6g}" if a == b else f"{a:.6g} → {b:.6g}"
-        for a, b in ((old[key], new[key]) for key in ("dof", "converged", "evaluations"))
+        for a, b in ((old[key], new[key]) for key in ("dof", "converged"))
     ]
     pairs[1] = (
         "yes"

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 import pincal
@@ -13,6 +14,8 @@ from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.plausibility import implausible
 from pincal.calibration.validation import Validation
+from pincal.estimation.problem import Problem
+from pincal.estimation.unknowns import State
 from pincal.words.findings import sentences
 
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
@@ -137,6 +140,13 @@ def error(result: pincal.CalibrationResult, truth: pincal.Mechanism) -> float:
     """Return the largest error of an identified parameter."""
     pairs = zip(result.identified.legs, truth.legs, strict=True)
     return max(float(np.abs(a.nominal - b.nominal).max()) for a, b in pairs)
+
+
+def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[State]:
+    """Return a list to which every evaluation of a problem's conditions adds its state."""
+    states, evaluate = list[State](), Problem.evaluate
+    monkeypatch.setattr(Problem, "evaluate", lambda self, x: states.append(x) or evaluate(self, x))
+    return states
 
 
 def platform_accuracy(

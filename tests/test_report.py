@@ -457,7 +457,7 @@ def test_no_convergence_no_mechanism(planar: Any, tmp_path: Path) -> None:
     main = page.find(".//main")
     assert [one.get("id") for one in main][1:3] == ["warnings", "answers"]
     said = f"The fit {failed.message}"
-    assert said.startswith("The fit did not converge after ")
+    assert said.startswith("The fit did not converge: ")
     assert said in page.get_element_by_id("warnings").text_content()
     assert "the next step would be 1.2e+02 standard errors" in said
     assert "There is no result" in page.get_element_by_id("answers").text_content()

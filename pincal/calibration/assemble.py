@@ -68,7 +68,6 @@ def assemble(fits: Fits) -> CalibrationResult:
         chi2_p_value=p_value,
         chi2_freedoms=chi2_dof,
         noise_freedoms=least if np.isfinite(least) else None,
-        evaluations=sum(fit.evaluations for fit in fits.fits),
         left=max(fit.distance for fit in fits.fits),
         converged=fits.converged,
         outliers=_merged_outliers(fits.fits),

@@ -163,7 +163,7 @@ def run(
 
 
 _AS_SAID = ("far-from-nominal", "zeros-found")  # of a mechanism that is said to be roughly known
-_BLAME_EVALUATIONS = 200  # rows that fit each other take tens
+_BLAME_STEPS = 100  # rows that fit each other take tens
 _FEW = 0.25  # share of rows that do not fit, up to which these are outliers
 #: Findings that follow from wrong rows.
 _FOLLOW = CONTRADICTING - {"terms-chosen"} | {"bad-rows", "outliers"}
@@ -179,7 +179,7 @@ def blame_wrong_rows(
     """
     try:
         calibration = result.calibration.with_options(loss="reject")
-        fits = fitted(calibration, patience=_BLAME_EVALUATIONS)
+        fits = fitted(calibration, patience=_BLAME_STEPS)
         robust = assemble(fits)
     except (PincalError, np.linalg.LinAlgError):  # the other rows may determine too little
         return findings, result.outliers

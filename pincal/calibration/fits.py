@@ -37,7 +37,7 @@ from pincal.words.wording import filled
 ROUNDS = 20  # largest number of alternations of fits with the noise, or with frames
 _HELD_MOST = 100.0  # how far machines differ over the standard error: such directions are free
 _CONTRADICTED = 1e-4  # p-value below which rows contradict that directions are as drawn
-_PATIENCE = 150  # evaluations after which a search may be running away; twice as many if near
+_PATIENCE = 75  # steps after which a search may be running away; twice as many if near
 _REFITS = 5  # largest number of fits with estimated noise
 SETTLED = 1e-3  # relative change of an estimated standard deviation that is negligible
 
@@ -125,7 +125,7 @@ def fitted(
 
     The search of all legs at once begins at the fits ``near``. If they have more rows or fewer
     terms, the mask ``rows``, shape (N,), selects their rows that are fitted here. ``patience`` is
-    the largest number of evaluations, by default the usual one.
+    the largest number of steps, by default the usual one.
     """
     latent = calibration.options.latent
     fits = _all_legs(calibration, near, rows, patience) if latent else _legs_alone(calibration)
@@ -339,7 +339,7 @@ def _fit_of_its_axes(
     fewer = hold_unobservable(mechanism, ended, fit.last, None, held.fewest)
     if (count := fewer.unknowns.n_free - held.unknowns.n_free) <= 0:
         return fit, held
-    freed = replace(system, unknowns=fewer.unknowns, max_evaluations=_PATIENCE)
+    freed = replace(system, unknowns=fewer.unknowns, max_steps=_PATIENCE)
     refit = robust_fit(freed, fit.last, near=True)
     freedoms, least = max(refit.degrees_of_freedom, 1), float(np.finfo(float).tiny)
     gain = max(fit.chi2 - refit.chi2, 0.0) / max(refit.chi2, least) * freedoms / count
@@ -350,7 +350,7 @@ def _fit_of_its_axes(
 def _fit_unless_astray(system: System, begin: Linear, bounds: Array, *, near: bool) -> Fit:
     """Return a fit; unfinished if its search soon leaves the parameters' bounds, (2, n_params)."""
     patience = _PATIENCE * (1 + near)
-    fit = robust_fit(replace(system, max_evaluations=patience), begin, near=near)
+    fit = robust_fit(replace(system, max_steps=patience), begin, near=near)
     if fit.converged or (fit.parameters < bounds[0]).any() or (fit.parameters > bounds[1]).any():
         return fit
     return robust_fit(system, fit.last, near=near)

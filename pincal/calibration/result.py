@@ -77,8 +77,6 @@ class CalibrationResult:
     """Degrees of freedom of that test; fewer than of χ² where legs alone share noise of poses."""
     noise_freedoms: float | None
     """Fewest degrees of freedom of the noise in a standard error; None if the noise is known."""
-    evaluations: int
-    """Evaluations of the conditions."""
     left: float
     """Distance from the optimum where the search ended, to first order, in standard errors."""
     converged: bool
@@ -184,11 +182,8 @@ class CalibrationResult:
     def message(self) -> str:
         """Whether the search converged, in a sentence."""
         if self.converged:
-            return f"converged after {self.evaluations} evaluations"
-        return (
-            f"did not converge after {self.evaluations} evaluations: the next step would be "
-            f"{self.left:.2g} standard errors"
-        )
+            return "converged"
+        return f"did not converge: the next step would be {self.left:.2g} standard errors"
 
     @cached_property
     def weak(self) -> tuple[WeakPair, ...]:

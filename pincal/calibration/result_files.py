@@ -106,7 +106,7 @@ def _converter() -> Converter:
 _CONVERTER = _converter()
 
 
-FORMAT = 7
+FORMAT = 8
 REPRODUCED = 1e-9
 """Largest difference of reported residuals from the saved machine's, of its size and [rad]."""
 _REMEDY = "calibrate the measurements again, or take a copy that is whole"
@@ -224,7 +224,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "calibrated_mechanism": MECHANISM if result.converged else None,
         "method": result.method,
         "poses": "all" if result.options.every_pose else "own",
-        **_named(result, "converged message evaluations reduced_chi2 degrees_of_freedom"),
+        **_named(result, "converged message reduced_chi2 degrees_of_freedom"),
         "promised": result.promises,
         "promise_leaves_out": uncovered(result),
         "measured_region": most_uncertain(result),

@@ -216,7 +216,7 @@ def predictions(fits_of_all: Fits, held: Calibration) -> Predicted:
             near = np.where(solution.converged[:, None], solution.poses, machine.platform.home)
         matrices = placed(problem.observation, held.measurements, external, near)
         state = State(fit.parameters, matrices, external=external)
-        linear, _ = solve_poses(poses_at_rest(problem.evaluate(state)))
+        linear = solve_poses(poses_at_rest(problem.evaluate(state)))
         return [(fit, np.arange(len(held.measurements)), linear)]
     parts: Predicted = []
     for fit in fits_of_all.fits:

@@ -115,7 +115,7 @@ class Predictor(NamedTuple):
         planned = self.mechanism.platform.matrices(self.plan.poses[places])
         state = State(parameters, planned, external=external)
         with np.errstate(all="ignore"):
-            linear, _ = solve_poses(calibration.latent_problem.evaluate(state))
+            linear = solve_poses(calibration.latent_problem.evaluate(state))
             R = np.asarray(np.linalg.qr(rows, mode="r"))
             W = np.linalg.solve(R.T, linear.jacobian.mT)
             return linear.residuals, self.excess**2 * np.eye(W.shape[2]) + W.mT @ W, linear

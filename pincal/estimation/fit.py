@@ -139,10 +139,10 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
         MeasurementError: residuals do not exist, or have no noise.
     """
     problem, unknowns = system.problem, system.unknowns
-    first, evaluations = solve_poses(begin)
+    first = solve_poses(begin)
     check_rank(problem, unknowns, first)
-    start, easier = (first, 0) if near else easier_start(system, begin, first)
-    solution = optimum(system, start, system.cost(first), evaluations + easier, near=near)
+    start = first if near else easier_start(system, begin, first)
+    solution = optimum(system, start, system.cost(first), near=near)
     if system.known:  # at the start of a search a pose may be too near to a singularity
         check_information(problem, unknowns, (first, solution.last))
     check_rank(problem, unknowns, solution.last, ended=True)
@@ -162,33 +162,30 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
 _UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
 _GROSS = 10.0  # misfit over the median at the start, above which the easier problem omits a row
 _EASY_NEAR = 0.1  # distance from the easier problem's optimum, in σ, at which its search ends
-_EASY_EVALUATIONS = 50
+_EASY_STEPS = 25
 
 
-def easier_start(system: System, begin: Linear, first: Linear) -> tuple[Linear, int]:
-    """Return where the search begins, and the evaluations that this took.
+def easier_start(system: System, begin: Linear, first: Linear) -> Linear:
+    """Return where the search begins; ``first`` is the start with its poses solved.
 
     It is near the optimum of an easier problem if that is better than the start: the evened problem
     by least squares without gross errors, since Cauchy's loss is not convex far from its optimum.
-    ``first`` is the start with its poses solved.
     """
     problem = system.problem
     sound = first.squares <= _GROSS**2 * np.median(first.squares)
     easier = _evened(problem, first) or (problem if system.robust or not sound.all() else None)
     if easier is None:
-        return first, 0
-    easier_begin, solved = solve_poses(replace(begin, problem=easier))
+        return first
+    easier_begin = solve_poses(replace(begin, problem=easier))
     easy = replace(system, problem=easier, kept=system.kept & sound, robust=False)
-    end = search(replace(easy, max_evaluations=_EASY_EVALUATIONS), easier_begin, enough=_EASY_NEAR)
-    evaluations = solved + end.evaluations
+    end = search(replace(easy, max_steps=_EASY_STEPS), easier_begin, enough=_EASY_NEAR)
     try:
         with np.errstate(all="ignore"):
-            near, solved = solve_poses(replace(end.last, problem=problem))
+            near = solve_poses(replace(end.last, problem=problem))
             costs = [system.cost(linear) for linear in (first, near)]
     except MeasurementError:
-        return first, evaluations
-    better = np.isfinite(costs[1]) and not costs[1] > costs[0]
-    return (near if better else first), evaluations + solved
+        return first
+    return near if np.isfinite(costs[1]) and not costs[1] > costs[0] else first
 
 
 def _evened(problem: Problem, linear: Linear) -> Problem | None:

@@ -47,13 +47,10 @@ def _fit_rejecting(system: System, begin: Linear, *, near: bool) -> tuple[Fit, f
     first. Near an optimum the conditions there give the scale.
     """
     problem, squares_only = system.problem, replace(system, robust=False)
-    first, evaluations = solve_poses(begin)
-    linear = first
+    linear = first = solve_poses(begin)
     if not near:
         check_rank(problem, system.unknowns, first)
-        start, easier = easier_start(system, begin, first)
-        end = search(system, start)
-        linear, evaluations = end.last, evaluations + easier + end.evaluations
+        linear = search(system, easier_start(system, begin, first)).last
     scale = system.scale(linear.squares)
     # Rows whose pose was not found, or whose noise moves the machine by a large part of its size,
     # have meaningless derivatives, and no loss bounds their influence.
@@ -68,8 +65,8 @@ def _fit_rejecting(system: System, begin: Linear, *, near: bool) -> tuple[Fit, f
             break
         rows = inliers
         optimum = fit(replace(squares_only, kept=inliers), linear, near=True)
-        linear, evaluations = optimum.last, evaluations + optimum.evaluations
-    return replace(optimum, first=first, evaluations=evaluations), scale
+        linear = optimum.last
+    return replace(optimum, first=first), scale
 
 
 def check_covariance(mechanism: Mechanism, optimum: Fit) -> Fit:

@@ -30,10 +30,10 @@ NEGLIGIBLE = 1e-3  # distance that counts as converged where no step lowers the 
 _STAYS = 1e-3  # least relative decrease of the distance where the cost is blind to a step
 _ROUNDING = 1e-10  # predicted relative decrease of the cost below which rounding dominates
 ROWS_FOLLOW = 1e-3  # relative increase of the cost allowed because whitening changes
-# Largest numbers of evaluations of the conditions:
-_EVALUATIONS = 1000
+# Largest numbers of steps:
+_MOST_STEPS = 500
 _LONGER = 3  # times as many within a standard deviation of the optimum: in a curved valley
-_ASTRAY_EVALUATIONS = 100  # while the cost of a condition is above _FAR
+_STEPS_ASTRAY = 50  # while the cost of a condition is above _FAR
 _FAR = 1e6  # cost of a condition: a thousand standard deviations, no correction of a machine
 _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
 _BENT = 0.75  # largest length of a bend relative to its step
@@ -53,8 +53,6 @@ class SolverResult:
 
     last: Linear
     """Conditions at the end, at measured readings."""
-    evaluations: int
-    """Number of evaluations of the conditions."""
     distance: float
     """Distance of the optimum, to first order, in standard errors."""
     converged: bool
@@ -87,12 +85,12 @@ class Iterate(NamedTuple):
         """Whether the next step changes the cost by less than rounding errors."""
         return self.normal.decrement**2 <= _ROUNDING * self.cost
 
-    def limit(self, max_evaluations: int | None) -> int:
-        """Return the largest number of evaluations of a search that has reached this state."""
+    def limit(self, max_steps: int | None) -> int:
+        """Return the largest number of steps of a search that has reached this state."""
         size = self.linear.residuals.size
         near = self.normal.decrement**2 * size <= self.cost
-        limit = max_evaluations or _EVALUATIONS * (_LONGER if near else 1)
-        return min(limit, _ASTRAY_EVALUATIONS) if self.cost > _FAR * size else limit
+        limit = max_steps or _MOST_STEPS * (_LONGER if near else 1)
+        return min(limit, _STEPS_ASTRAY) if self.cost > _FAR * size else limit
 
 
 def search(
@@ -104,18 +102,18 @@ def search(
     standard deviations of residuals from the optimum.
     """
     current, damping, growth = Iterate.of(system, start), 0.0, _GROWTH
-    evaluations, highest = 1, max(current.cost, highest)
+    steps, highest = 0, max(current.cost, highest)
     unused = ~system.kept
     fixed_poses, cost_when_fixed = unused, np.inf
     while current.normal.decrement > _tolerance(system, current, enough):
-        if evaluations >= current.limit(system.max_evaluations) or damping > _DAMPING[1]:
+        if steps >= current.limit(system.max_steps) or damping > _DAMPING[1]:
             break
-        if system.progress and evaluations % 5 == 0:
+        steps += 1
+        if system.progress and steps % 5 == 0:
             deviation = np.sqrt(current.cost / len(current.weights))
-            system.progress(f"step {evaluations}: {deviation:.3g} σ a pose")
+            system.progress(f"step {steps}: {deviation:.3g} σ a pose")
         # 1. A damped step of all unknowns; then each pose alone.
-        trial, step, count = _step(system, current, damping, fixed_poses, highest)
-        evaluations += count
+        trial, step = _step(system, current, damping, fixed_poses, highest)
         if trial is not None:
             # 2. Accepted: less damping where the cost falls as predicted.
             factor, at_end = _adapt_damping(system, current, trial, step)
@@ -141,31 +139,26 @@ def search(
     exact = current.normal.decrement <= max(NO_STEP, 10.0 * rounding(system, current.linear))
     return SolverResult(
         current.linear,
-        evaluations,
         distance,
         exact or distance <= (10.0 if system.adjusted else 1.0) * NEGLIGIBLE,
     )
 
 
-def optimum(
-    system: System, start: Linear, highest: float, evaluations: int, *, near: bool
-) -> SolverResult:
+def optimum(system: System, start: Linear, highest: float, *, near: bool) -> SolverResult:
     """Return the optimum at adjusted readings, or at measured ones where the former does not exist.
 
-    ``start`` and ``highest`` are as in ``search``; ``evaluations`` were made so far. A start may be
-    ``near`` the optimum at adjusted readings, of other noise or rows: a search at measured readings
-    would lead away from it.
+    ``start`` and ``highest`` are as in ``search``. A start may be ``near`` the optimum at adjusted
+    readings, of other noise or rows: a search at measured readings would lead away from it.
     """
     adjusts = system.problem.latent and np.nanmax(system.problem.leg_block.sigma, initial=0.0) > 0.0
     with_adjustment = replace(system, adjusted=True)
     end = _try_search(with_adjustment, start) if near and adjusts else None
     if end is None or not end.converged:
         highest *= 1.0 + ROWS_FOLLOW * near
-        first = end = search(system, start, highest=highest, enough=SLOW * float(adjusts))
-        if adjusts and first.converged:
-            end = _try_search(replace(with_adjustment, max_evaluations=None), first.last) or first
-            evaluations += first.evaluations - 1 if end is not first else 0
-    return replace(end, evaluations=end.evaluations + evaluations)
+        end = search(system, start, highest=highest, enough=SLOW * float(adjusts))
+        if adjusts and end.converged:
+            end = _try_search(replace(with_adjustment, max_steps=None), end.last) or end
+    return end
 
 
 def _try_search(system: System, start: Linear) -> SolverResult | None:
@@ -241,19 +234,19 @@ def _adapt_damping(
 
 def _step(
     system: System, current: Iterate, damping: float, fixed_poses: Mask, highest: float
-) -> tuple[Iterate | None, Array, int]:
-    """Return the end of a damped step (None if refused), the step, and its evaluations.
+) -> tuple[Iterate | None, Array]:
+    """Return the end of a damped step (None if refused), and the step.
 
     A step that is refused, as in a curved valley, is bent by how far the conditions at its end are
     from linear (M. K. Transtrum and J. P. Sethna 2012), unless the bend is nearly as long.
     """
     normal, linear, T = current.normal, current.judged, system.unknowns.map
     step = normal.step(damping)
-    trial, evaluations = _end_of_step(system, current, step, fixed_poses)
+    trial = _end_of_step(system, current, step, fixed_poses)
     if trial is None or _accepted(system, current, trial, highest):
-        return trial, step, evaluations
+        return trial, step
     if current.blind:
-        return None, step, evaluations
+        return None, step
     off = linear.whitened(trial.judged.conditions) - linear.residuals
     off -= linear.jacobian @ (T @ step)
     slope = np.einsum("nmk,nm,n->k", linear.jacobian, off, current.weights) @ T
@@ -261,29 +254,29 @@ def _step(
     bend = normal._replace(c=along).step(damping)
     length, bend_length = (float(np.linalg.norm(part * normal.lengths)) for part in (step, bend))
     if not bend_length < _BENT * length:
-        return None, step, evaluations
-    trial, count = _end_of_step(system, current, step + bend, fixed_poses)
+        return None, step
+    trial = _end_of_step(system, current, step + bend, fixed_poses)
     taken = trial is not None and _accepted(system, current, trial, highest)
-    return trial if taken else None, step, evaluations + count
+    return trial if taken else None, step
 
 
 def _end_of_step(
     system: System, current: Iterate, step: Array, fixed_poses: Mask
-) -> tuple[Iterate | None, int]:
-    """Return the end of a step of the free unknowns, poses solved, and its evaluations.
+) -> Iterate | None:
+    """Return the end of a step of the free unknowns, poses solved but for fixed ones, which stay.
 
-    The end is None where the conditions do not exist. Fixed poses stay where they are.
+    It is None where the conditions do not exist.
     """
     try:
         with np.errstate(all="ignore"):
             state, before = current.linear.moved(system.unknowns.map @ step), current.linear.state
             matrices = np.where(fixed_poses[:, None, None], before.matrices, state.matrices)
             state = replace(state, matrices=matrices)
-            trial, count = solve_poses(system.problem.evaluate(state), fixed_poses)
+            trial = solve_poses(system.problem.evaluate(state), fixed_poses)
             finite = np.isfinite(trial.residuals).all() and np.isfinite(trial.by_parameter).all()
-            return (Iterate.of(system, trial) if finite else None), 1 + count
+            return Iterate.of(system, trial) if finite else None
     except (MeasurementError, np.linalg.LinAlgError):
-        return None, 1
+        return None
 
 
 def rounding(system: System, linear: Linear) -> float:
@@ -294,15 +287,15 @@ def rounding(system: System, linear: Linear) -> float:
     return float(noise * np.sqrt(system.unknowns.n_free / rows))
 
 
-def solve_poses(linear: Linear, fixed_poses: Mask | None = None) -> tuple[Linear, int]:
-    """Return the conditions with poses solved to second order, and the evaluations.
+def solve_poses(linear: Linear, fixed_poses: Mask | None = None) -> Linear:
+    """Return the conditions with poses solved to second order.
 
     Each pose takes Gauss–Newton steps, shortened until the next step is shorter (natural
     monotonicity); a pose without such a step stays where it is.
     """
-    problem, count, poses = linear.problem, 0, len(linear.conditions)
+    problem, poses = linear.problem, len(linear.conditions)
     if not problem.latent:
-        return linear, 0
+        return linear
     share = np.ones(poses) if fixed_poses is None else np.where(fixed_poses, 0.0, 1.0)
     for _ in range(_POSE_STEPS):
         twists, length = _pose_steps(linear)
@@ -313,11 +306,10 @@ def solve_poses(linear: Linear, fixed_poses: Mask | None = None) -> tuple[Linear
         twists = np.where(moving[:, None], twists * short[:, None], 0.0)
         matrices = problem.platform.displaced(linear.state.matrices, twists)
         trial = problem.evaluate(replace(linear.state, matrices=matrices))
-        count += 1
         worse = moving & ~(_pose_steps(trial)[1] < length)
         share = np.where(worse, share / 4.0, np.minimum(1.0, 2.0 * share))
         linear = trial.with_poses(worse, linear) if worse.any() else trial
-    return linear, count
+    return linear
 
 
 def unsolved(linear: Linear) -> Mask:

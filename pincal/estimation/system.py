@@ -78,8 +78,8 @@ class System:
     """Whether the scale of the noise is known."""
     robust: bool = False
     """Whether rows that do not fit are to be left out; a search weighs them by Cauchy's loss."""
-    max_evaluations: int | None = None
-    """Evaluations of the conditions after which a search stops; None for the usual number."""
+    max_steps: int | None = None
+    """Steps after which a search stops; None for the usual number."""
     adjusted: bool = False
     """Whether conditions are taken at adjusted readings."""
     progress: Callable[[str], None] | None = None

@@ -242,7 +242,7 @@ def without_false_points(calibration: Calibration) -> Calibration:
     sigma = judged.observation.row_noise(data, judged.noise.noise).sigma[:, columns]
     measured = judged.observation.measured[:, columns].all(axis=2)
     problem = judged.started(judged.latent_problem)
-    linear, _ = solve_poses(problem.evaluate(problem.start(judged.unknowns.start)))
+    linear = solve_poses(problem.evaluate(problem.start(judged.unknowns.start)))
     weights, false = np.ones(measured.shape), np.zeros(measured.shape, dtype=bool)
     for _ in range(_ROUNDS):
         missed = linear.noise[:, problem.leg_block.n_readings + columns] ** 2 / weights[:, :, None]
