@@ -367,11 +367,8 @@ def _group_fields(
 
 def _merged_outliers(fits: Sequence[Fit]) -> tuple[Outlier, ...]:
     """Return outliers of all fits, one for each row, the worst first."""
-    outliers = [outlier for fit in fits for outlier in fit.outliers]
-    rows: dict[int, Outlier] = {}
+    outliers, rows = [outlier for fit in fits for outlier in fit.outliers], dict[int, Outlier]()
     for outlier in sorted(outliers, key=lambda outlier: -outlier.sigma):
         worst = rows.setdefault(outlier.row, outlier)
-        if worst is not outlier:
-            legs = (*worst.legs, *outlier.legs)
-            rows[outlier.row] = replace(worst, legs=legs, weight=min(worst.weight, outlier.weight))
+        rows[outlier.row] = replace(worst, weight=min(worst.weight, outlier.weight))
     return tuple(rows.values())

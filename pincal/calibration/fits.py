@@ -15,7 +15,7 @@ from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import ObservabilityError
 from pincal.estimation import components
-from pincal.estimation.fit import Fit
+from pincal.estimation.fit import Fit, check_covariance, robust_fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.identifiable import (
@@ -25,7 +25,6 @@ from pincal.estimation.observability.identifiable import (
     plausible_changes,
 )
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.robust import check_covariance, robust_fit
 from pincal.estimation.system import System
 from pincal.estimation.unknowns import External, State
 from pincal.model import Leg, Mechanism, Noise

@@ -24,9 +24,8 @@ from pincal.calibration.result_parts import KINDS, Missed, Validation
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
 from pincal.estimation.components import GROUPS, Moments, predicted_squares
-from pincal.estimation.fit import Fit, Outlier
+from pincal.estimation.fit import Fit, Outlier, as_one, most_off
 from pincal.estimation.problem import Linear
-from pincal.estimation.robust import as_one, most_off
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, suspected
@@ -115,7 +114,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         else:
             inside = max(total - fits.chi2, 0.0)
             chances.append(_p_value(fits, inside, float(sums[:, 3].sum())))
-        sigma[groups == fold] = [as_one(row[0] / unit, int(row[3])) for row in sums]
+        sigma[groups == fold] = as_one(sums[:, 0] / unit, sums[:, 3])
         for target, values in misses_of(held, fits.parameters, fits.external).items():
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
         of_folds.append([*sums.sum(axis=0)[1:], fits.chi2 / max(fits.degrees_of_freedom, 1)])
@@ -290,21 +289,15 @@ def _stray_rows(
     few = 0 < wrong.sum() <= max(1.0, MANY_ROWS * len(wrong))
     if not few or _p_of_rows(fits, predicted, variances, ~wrong) < UNLIKELY:
         return []
+    sigmas = as_one(sums[:, 0] / unit, sums[:, 3])
     for place in np.flatnonzero(wrong).tolist():
         off, quantity = max(
             most_off(linear, row)
             for _, served, linear in predicted
             for row in np.flatnonzero(served == place).tolist()
         )
-        stray = Outlier(
-            row=int(rows[place]),
-            legs=tuple(leg.name for fit, _, _ in predicted for leg in fit.problem.legs),
-            sigma=as_one(float(sums[place, 0] / unit), int(sums[place, 3])),
-            weight=0.0,
-            quantity=quantity,
-            off=off / unit**0.5,
-        )
-        strays.append(stray)
+        sigma = float(sigmas[place])
+        strays.append(Outlier(int(rows[place]), sigma, 0.0, quantity, off / unit**0.5))
     return sorted(strays, key=lambda stray: -stray.sigma)
 
 

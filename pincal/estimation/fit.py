@@ -1,19 +1,28 @@
-"""The fit of one problem: the search, then covariance, rank and χ² at its end."""
+"""The fit of one problem: the search, then covariance, rank, χ² and outliers at its end."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy.special import chdtrc, ndtri
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.noise import RowNoise
-from pincal.estimation.observability.identifiable import check_information, check_rank
+from pincal.estimation.observability.identifiable import (
+    DIFFER,
+    check_information,
+    check_rank,
+    plausible_changes,
+)
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.solver import SolverResult, optimum, search, solve_poses
-from pincal.estimation.system import NormalEquations, System
+from pincal.estimation.solver import SolverResult, optimum, search, solve_poses, unsolved
+from pincal.estimation.system import NormalEquations, System, outlying, robust_scale, suspected
 from pincal.estimation.unknowns import Unknowns
+from pincal.model import ROW, Mechanism
 from pincal.types import Array, Index, Mask
+from pincal.words.numbers import listed
+from pincal.words.wording import NAMED
 
 
 @dataclass(frozen=True)
@@ -22,8 +31,6 @@ class Outlier:
 
     row: int
     """Index of the row, from 0."""
-    legs: tuple[str, ...]
-    """Legs in whose fit the row does not fit."""
     sigma: float
     """Misfit of the row, in σ: the size of a single normal residual as unlikely as the row's χ²."""
     weight: float
@@ -141,7 +148,7 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
     problem, unknowns = system.problem, system.unknowns
     first = solve_poses(begin)
     check_rank(problem, unknowns, first)
-    start = first if near else easier_start(system, begin, first)
+    start = first if near else _easier_start(system, begin, first)
     solution = optimum(system, start, system.cost(first), near=near)
     if system.known:  # at the start of a search a pose may be too near to a singularity
         check_information(problem, unknowns, (first, solution.last))
@@ -165,7 +172,7 @@ _EASY_NEAR = 0.1  # distance from the easier problem's optimum, in σ, at which 
 _EASY_STEPS = 25
 
 
-def easier_start(system: System, begin: Linear, first: Linear) -> Linear:
+def _easier_start(system: System, begin: Linear, first: Linear) -> Linear:
     """Return where the search begins; ``first`` is the start with its poses solved.
 
     It is near the optimum of an easier problem if that is better than the start: the evened problem
@@ -213,3 +220,119 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
         return None
     observation = observation.changed(noise=RowNoise(sigma, observation.noise.correlation))
     return replace(problem, leg_block=replace(legs, sigma=readings), observation=observation)
+
+
+_LEAST = float(np.finfo(float).tiny)  # smallest probability that a float can hold
+_ROUNDS = 10  # largest number of rounds of leaving rows out
+_GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
+_LINEAR = 0.1  # share of the machine's size, or [rad], up to which noise acts linearly
+
+
+def robust_fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
+    """Return the fit of a problem and its outliers, which a ``robust`` system leaves out.
+
+    The search begins at nominal parameters, or near the optimum.
+    """
+    if system.robust:
+        optimum, scale = _fit_rejecting(system, begin, near=near)
+        judged = scale
+    else:
+        optimum = fit(system, begin, near=near)
+        scale = judged = optimum.noise_scale
+        squares, equations = optimum.last.squares, optimum.last.equations
+        share = optimum.degrees_of_freedom / max(int(equations.sum()), 1)
+        if share > 0.0:  # where every row misses by more, the noise given is wrong, and no row
+            judged = max(scale, robust_scale(squares, equations, share))
+    return replace(optimum, outliers=_outliers(optimum, scale, judged, system.kept))
+
+
+def _fit_rejecting(system: System, begin: Linear, *, near: bool) -> tuple[Fit, float]:
+    """Return the least-squares fit of the rows that fit each other, and the scale of the noise.
+
+    From nominal parameters a search by Cauchy's loss, which gives every row some weight, comes
+    first. Near an optimum the conditions there give the scale.
+    """
+    problem, squares_only = system.problem, replace(system, robust=False)
+    linear = first = solve_poses(begin)
+    if not near:
+        check_rank(problem, system.unknowns, first)
+        linear = search(system, _easier_start(system, begin, first)).last
+    scale = system.scale(linear.squares)
+    # Rows whose pose was not found, or whose noise moves the machine by a large part of its size,
+    # have meaningless derivatives, and no loss bounds their influence.
+    moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
+    largest = {"m": _LINEAR * problem.size, "rad": _LINEAR}
+    sound = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in problem.units]).all(axis=1)
+    sound &= system.kept & ~unsolved(linear)
+    rows = None
+    for _ in range(_ROUNDS):
+        inliers = sound & ~outlying(linear.squares / scale**2, linear.equations)
+        if rows is not None and (inliers == rows).all():
+            break
+        rows = inliers
+        optimum = fit(replace(squares_only, kept=inliers), linear, near=True)
+        linear = optimum.last
+    return replace(optimum, first=first), scale
+
+
+def check_covariance(mechanism: Mechanism, optimum: Fit) -> Fit:
+    """Return the fit; raise if its search ran away, or if its parameters are arbitrary.
+
+    A search ran away where noise moves parameters farther than machines differ from their drawing.
+    Parameters are arbitrary if they moved so far, and two standard errors are longer than the
+    machine, or more than a radian: no linear covariance holds that far.
+    """
+    if optimum.system.known and optimum.chi2 > _GOOD * max(optimum.degrees_of_freedom, 1):
+        return optimum
+    legs = optimum.problem.legs
+    limit = plausible_changes(mechanism, legs)
+    std = np.sqrt(np.diagonal(optimum.covariance))[: len(limit)]
+    nominal = np.concatenate([leg.nominal for leg in legs])
+    moved, far = np.abs(optimum.parameters - nominal) > limit, std > limit
+    if not ((moved & (2.0 * std > limit / DIFFER)).any() if optimum.converged else far.any()):
+        return optimum
+    ids = np.array([name for leg in legs for name in leg.parameter_ids])[far].tolist()
+    single, hidden = len(ids) == 1, len(ids) - NAMED
+    named = listed([*ids[:NAMED], f"{hidden} more parameters"] if hidden > 1 else ids)
+    them = "it" if single else "them"
+    raise ObservabilityError(
+        f"{named} {'is' if single else 'are'} weakly determined by the measured poses: noise moves "
+        f"{them} farther than machines differ from their drawings. Measure poses that differ more "
+        f"(in orientation above all), hold {them} as near to nominal as can be "
+        "(leave out --strict), or say how well nominal values are known (--priors)"
+    )
+
+
+def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Outlier, ...]:
+    """Return the rows that do not fit at a scale of the noise, the worst first.
+
+    Rows in use are judged by the larger of ``scale`` and ``judged``. Rows that do not count, such
+    as verification rows, are judged elsewhere.
+    """
+    linear = fit.last
+    if not (fit.converged and scale > 0.0):
+        return ()
+    far = suspected(linear.squares / max(scale, judged) ** 2, linear.equations)
+    rows = np.flatnonzero((~fit.good | far) & (linear.equations > 0) & counted)
+    sigmas, outliers = as_one(linear.squares / scale**2, linear.equations), list[Outlier]()
+    for i in rows[np.argsort(-sigmas[rows], kind="stable")].tolist():
+        sigma, quantity = most_off(linear, i)
+        row, weight = int(fit.rows[i]), float(fit.good[i])
+        outliers.append(Outlier(row, float(sigmas[i]), weight, quantity, sigma / scale))
+    return tuple(outliers)
+
+
+def most_off(linear: Linear, row: int) -> tuple[float, str]:
+    """Return by how much a row's worst quantity is off, in standard deviations, and its name.
+
+    The place of a row itself, which follows distances measured from it, does not count.
+    """
+    noise = zip(np.abs(linear.noise[row]).tolist(), linear.problem.quantities, strict=False)
+    sigma, name = max(pair for pair in noise if not pair[1].startswith(f"measured {ROW}_"))
+    return sigma, linear.problem.observation.named(name, row)
+
+
+def as_one(squares: Array, equations: Array | Index) -> Array:
+    """Return sizes of single normal residuals that are as unlikely as χ² of several, shape (N,)."""
+    chances = chdtrc(np.maximum(equations, 1), squares)
+    return np.where(chances > _LEAST, -ndtri(chances / 2.0), np.sqrt(squares))

@@ -36,7 +36,6 @@ _LONGER = 3  # times as many within a standard deviation of the optimum: in a cu
 _STEPS_ASTRAY = 50  # while the cost of a condition is above _FAR
 _FAR = 1e6  # cost of a condition: a thousand standard deviations, no correction of a machine
 _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
-_BENT = 0.75  # largest length of a bend relative to its step
 _GROWTH = 4.0  # of the damping; below the 10 of a good step, else a valley refuses every other one
 # Adjustment of readings:
 _CORRECTIONS = 4  # largest number of corrections of the readings in a step
@@ -113,8 +112,9 @@ def search(
             deviation = np.sqrt(current.cost / len(current.weights))
             system.progress(f"step {steps}: {deviation:.3g} σ a pose")
         # 1. A damped step of all unknowns; then each pose alone.
-        trial, step = _step(system, current, damping, fixed_poses, highest)
-        if trial is not None:
+        step = current.normal.step(damping)
+        trial = _end_of_step(system, current, step, fixed_poses)
+        if trial is not None and _accepted(system, current, trial, highest):
             # 2. Accepted: less damping where the cost falls as predicted.
             factor, at_end = _adapt_damping(system, current, trial, step)
             damping, growth = damping * factor, _GROWTH
@@ -230,34 +230,6 @@ def _adapt_damping(
     before, after = current.normal.decrement, trial.normal.decrement
     stays = after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
     return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0, current.blind and stays
-
-
-def _step(
-    system: System, current: Iterate, damping: float, fixed_poses: Mask, highest: float
-) -> tuple[Iterate | None, Array]:
-    """Return the end of a damped step (None if refused), and the step.
-
-    A step that is refused, as in a curved valley, is bent by how far the conditions at its end are
-    from linear (M. K. Transtrum and J. P. Sethna 2012), unless the bend is nearly as long.
-    """
-    normal, linear, T = current.normal, current.judged, system.unknowns.map
-    step = normal.step(damping)
-    trial = _end_of_step(system, current, step, fixed_poses)
-    if trial is None or _accepted(system, current, trial, highest):
-        return trial, step
-    if current.blind:
-        return None, step
-    off = linear.whitened(trial.judged.conditions) - linear.residuals
-    off -= linear.jacobian @ (T @ step)
-    slope = np.einsum("nmk,nm,n->k", linear.jacobian, off, current.weights) @ T
-    along = np.linalg.solve(normal.R.T, slope / normal.lengths)
-    bend = normal._replace(c=along).step(damping)
-    length, bend_length = (float(np.linalg.norm(part * normal.lengths)) for part in (step, bend))
-    if not bend_length < _BENT * length:
-        return None, step
-    trial = _end_of_step(system, current, step + bend, fixed_poses)
-    taken = trial is not None and _accepted(system, current, trial, highest)
-    return trial if taken else None, step
 
 
 def _end_of_step(
