@@ -36,7 +36,7 @@ _LONGER = 3  # times as many within a standard deviation of the optimum: in a cu
 _STEPS_ASTRAY = 50  # while the cost of a condition is above _FAR
 _FAR = 1e6  # cost of a condition: a thousand standard deviations, no correction of a machine
 _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
-_GROWTH = 4.0  # of the damping; below the 10 of a good step, else a valley refuses every other one
+_GROWTH = 2.0  # of the damping by a refused step; twice as much by the next
 # Adjustment of readings:
 _CORRECTIONS = 4  # largest number of corrections of the readings in a step
 _UNCHANGED = 1e-3  # change of the corrections, in standard deviations, that is negligible
@@ -223,13 +223,15 @@ def _adapt_damping(
 ) -> tuple[float, bool]:
     """Return the factor on the damping by the actual over the predicted decrease of the cost.
 
-    Also return whether rounding leaves nothing to gain.
+    It is that of H. B. Nielsen, Damping parameter in Marquardt's method (1999). Also return whether
+    rounding leaves nothing to gain.
     """
     costs = [system.cost(trial.judged, current.weights, rows) for rows in (current.judged, None)]
     gain = (current.cost - min(costs)) / max(current.normal.fall(step), 1e-300)
     before, after = current.normal.decrement, trial.normal.decrement
     stays = after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
-    return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0, current.blind and stays
+    factor = max(1.0 / 3.0, 1.0 - (2.0 * float(np.clip(gain, 0.0, 1.0)) - 1.0) ** 3)
+    return factor, current.blind and stays
 
 
 def _end_of_step(
