@@ -523,13 +523,16 @@ def test_an_orientation_in_part_is_refused(tmp_path: Path) -> None:
             pincal.MeasurementError, match=rf"{way}\.csv, line 4: an orientation is"
         ):
             pincal.calibrate(mechanism, tmp_path / f"{way}.csv", noise=NOISE)
-    table = data.to_dataframe(mechanism)
-    lone = table.drop(columns=["azimuth [rad]", "torsion [rad]"])
-    with pytest.raises(pincal.MeasurementError, match="no column 'azimuth' beside 'tilt'"):
-        pincal.calibrate(mechanism, lone, noise=NOISE)
-    yaw = table.drop(columns=[f"{name} [rad]" for name in ("azimuth", "tilt", "torsion")])
-    with pytest.raises(pincal.MeasurementError, match="no column 'pitch' beside 'yaw'"):
-        pincal.calibrate(mechanism, yaw.assign(**{"yaw [rad]": 0.1}), noise=NOISE)
+    data.to_csv(tmp_path / "whole.csv", mechanism, orientation="tilt-torsion")
+    table = pandas.read_csv(tmp_path / "whole.csv").rename(columns=lambda name: name.split()[0])
+    for left_out, added, message in (
+        (["azimuth", "torsion"], {}, "no column 'azimuth' beside 'tilt'"),
+        (["azimuth", "tilt", "torsion"], {"yaw": 0.1}, "no column 'pitch' beside 'yaw'"),
+    ):
+        path = tmp_path / "part.csv"
+        table.drop(columns=left_out).assign(**added).to_csv(path, index=False)
+        with pytest.raises(pincal.MeasurementError, match=message):
+            pincal.calibrate(mechanism, path, noise=NOISE)
 
 
 @pytest.mark.parametrize(("kind", "freedoms"), [("delta", 6), ("5R", 3)])
