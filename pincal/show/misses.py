@@ -3,6 +3,7 @@
 These are the residuals of rows, of cameras, and the platform's errors over the workspace.
 """
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -53,27 +54,30 @@ class CameraMisses(NamedTuple):
     """Length of a pixel at the point, across the line of sight, shape (n,), [m/px]."""
 
 
+def by_row(result: CalibrationResult, names: Sequence[str], values: str = "residuals") -> Array:
+    """Return residuals, or standardised ones, of measured quantities by row, (N, k), else NaN."""
+    every = np.full((len(result.measurements), len(names)), np.nan)
+    for group in result.observed:
+        if group.name in names:
+            every[group.rows, names.index(group.name)] = getattr(group, values)
+    return every
+
+
 def camera_misses(result: CalibrationResult) -> list[CameraMisses]:
     """Return residuals by camera, for points of which both image coordinates were seen."""
-    by_name = {group.name: group for group in result.observed}
-    observation = result.calibration.observation
+    data, observation = result.measurements, result.calibration.observation
     matrices, every = result.nominal.platform.matrices(result.poses), list[CameraMisses]()
     metres = observation.metres_per_pixel(matrices, result.outside or External())
     for camera in (d for d in result.options.setup.instruments if isinstance(d, Camera)):
         parts = list[tuple[Array, ...]]()
         for point, pair in camera.marks.items():
-            if not by_name.keys() >= {*pair}:
+            missed = by_row(result, pair)
+            if not len(rows := np.flatnonzero(np.isfinite(missed).all(axis=1))):
                 continue
-            groups = [by_name[column] for column in pair]
-            rows, *places = np.intersect1d(groups[0].rows, groups[1].rows, return_indices=True)
-            seen = [result.measurements.extra[column][rows] for column in pair]
-            missed, sizes = (
-                np.stack([getattr(g, name)[i] for g, i in zip(groups, places, strict=True)], axis=1)
-                for name in ("residuals", "standardised")
-            )
+            largest = np.fmax(*np.abs(by_row(result, pair, "standardised")[rows].T))
+            seen = np.column_stack([data.extra[column] for column in pair])[rows]
             of_point = metres[rows, observation.names.index(pair[0])]
-            names, largest = np.full(len(rows), point), np.fmax(*np.abs(sizes.T))
-            parts.append((names, np.stack(seen, axis=1), missed, largest, of_point))
+            parts.append((np.full(len(rows), point), seen, missed[rows], largest, of_point))
         if parts:
             every.append(CameraMisses(camera, *map(np.concatenate, zip(*parts, strict=True))))
     return every

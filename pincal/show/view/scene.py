@@ -17,6 +17,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import command
 from pincal.kinematics.forward import forward
 from pincal.model import EVERY_LEG, ORIGIN, VERIFY, Mechanism, Plan
+from pincal.show.misses import by_row
 from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
 from pincal.show.view.bodies import Body, body
 from pincal.types import Array, Index, Mask
@@ -296,13 +297,10 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
     else forward kinematics minus fully measured poses. Rows that touch a point have that point.
     """
     platform, outside = result.nominal.platform, result.outside
-    observed = {block.name: block for block in result.observed}
     axes = ("x", "y", "z")[: platform.space]
     measured, shifts = np.zeros((2, len(result.measurements), 3))
-    if result.estimated_poses is not None and set(axes) <= set(observed):
-        shifts[:, : len(axes)] = np.nan
-        for axis, name in enumerate(axes):
-            shifts[observed[name].rows, axis] = observed[name].residuals
+    if result.estimated_poses is not None and {*axes} <= {block.name for block in result.observed}:
+        shifts[:, : len(axes)] = by_row(result, axes)
         offset = np.array(result.options.setup.targets[ORIGIN].offset)
         if outside is not None:
             shifts, offset = shifts @ outside.frame[:3, :3], outside.offsets[0]
@@ -324,18 +322,15 @@ def touched_points(result: CalibrationResult) -> list[tuple[str, Array, Index, A
     """Return name, place, rows and misses of each point that targets touch, base frame, [m]."""
     setup, outside = result.options.setup, result.outside
     outside = outside or result.calibration.observation.external.start
-    frame, blocks = outside.frame, {block.name: block for block in result.observed}
-    points = []
+    turn, origin, points = outside.frame[:3, :3], outside.frame[:3, 3], []
     for (name, (_, _, contact)), place in zip(
         setup.touched.items(), outside.features[:, :3], strict=False
     ):
         axes = [f"{name}_{axis}" for axis in "xyz"[: result.nominal.platform.space]]
-        if contact.shape != "point" or axes[0] not in blocks:
-            continue
-        missed = np.zeros((len(blocks[axes[0]].rows), 3))
-        missed[:, : len(axes)] = np.column_stack([blocks[axis].residuals for axis in axes])
-        turn, origin = frame[:3, :3], frame[:3, 3]
-        points.append((name, (place - origin) @ turn, blocks[axes[0]].rows, missed @ turn))
+        missed = by_row(result, axes)
+        rows = np.flatnonzero(np.isfinite(missed).all(axis=1))
+        if contact.shape == "point" and len(rows):
+            points.append((name, (place - origin) @ turn, rows, missed[rows] @ turn[: len(axes)]))
     return points
 
 
