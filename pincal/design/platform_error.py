@@ -20,10 +20,8 @@ from pincal.estimation.unknowns import External
 from pincal.kinematics.batches import least_squares
 from pincal.kinematics.configurations import Legs, legs_at
 from pincal.model import Mechanism, Plan
-from pincal.model.checks import counted
 from pincal.types import Array, Mask
 from pincal.words.numbers import amount
-from pincal.words.wording import UNCOVERED
 
 Seen = Callable[[Array, Array], tuple[Array, Array, tuple[str, ...]]]
 """Function that projects twists of the platform, (N, dof, k), at poses, (N, dof), on r measured
@@ -127,21 +125,13 @@ class PlatformError:
         return position, orientation
 
     def __repr__(self) -> str:
-        return f"PlatformError({self._shown(self.position, self.orientation)}, {self.poses} poses)"
-
-    def __str__(self) -> str:
-        lines = [f"platform error over {self.poses} poses, root mean square"]
-        lines.append(f"  expected          {self._shown(self.position, self.orientation)}")
-        if not self.promised:
-            lines.append("  no limit: something contradicts the model or its noise")
-        elif outside := int((self.outside > 1.0).sum()):
-            lines.append(f"  no limit: outside the measured region at {counted(outside, 'pose')}")
-        else:
-            lines.append(f"  95 %: below       {self._shown(*self.limit)}")
-            lines += [f"  not covered       {UNCOVERED[code]}" for code in self.uncovered]
-        if missing := len(self.std) - int(self.determined.sum()):
-            lines.append(f"  out of reach or not determined at {missing} of {len(self.std)} poses")
-        return "\n".join(lines)
+        limit = "no limit: something contradicts the model or its noise"
+        if (self.outside > 1.0).any():
+            limit = "no limit outside the measured region"
+        elif self.promised:
+            limit = f"95 %: below {self._shown(*self.limit)}"
+        expected = self._shown(self.position, self.orientation)
+        return f"PlatformError({expected}, {limit}, {self.poses} poses)"
 
     def _shown(self, position: float, orientation: float) -> str:
         text = amount(position, "m")
