@@ -26,8 +26,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a 
 
 Array = NDArray[np.float64]
 KINDS = ["3RRR", "5R"]
-LONGEST = {"test_camera", "test_many", "test_photographed", "test_pulleys", "test_studies"}
-LONGEST |= {"test_surplus", "test_trust"}
+LONGEST = {"test_camera", "test_many", "test_motoman", "test_photographed", "test_pulleys"}
+LONGEST |= {"test_studies", "test_surplus", "test_trust"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -406,13 +406,14 @@ def test_a_print_that_is_longer_along_y_is_no_fault_of_the_camera(stretch: float
     points = {name: (x, stretch * y, z) for name, (x, y, z) in drawn.items()}
     printed = replace(true, markers=replace(true.markers, points=points))
     _, data = _measured(printed, noise=0.05, count=24)
-    noise, results = pincal.Noise(reading=1e-6, pixel=0.05), []
-    for sigma in (0.0, 3e-3):
-        device = replace(_unknown(true), markers=pincal.Markers(drawn, stretch=sigma))
-        setup = pincal.Setup(instruments=(device,))
-        results.append(pincal.calibrate("6UPS", data, setup=setup, noise=noise, folds=0))
-    assert (results[0].reduced_chi2 < 1.2) == (stretch == 1.0)
-    result = results[1]
+    noise, device = pincal.Noise(reading=1e-6, pixel=0.05), _unknown(true)
+    if stretch != 1.0:
+        setup = pincal.Setup(instruments=(replace(device, markers=pincal.Markers(drawn)),))
+        assert pincal.calibrate("6UPS", data, setup=setup, noise=noise).reduced_chi2 > 1.2
+    setup = pincal.Setup(
+        instruments=(replace(device, markers=pincal.Markers(drawn, stretch=3e-3)),)
+    )
+    result = pincal.calibrate("6UPS", data, setup=setup, noise=noise)
     identified = result["board.stretch"]
     assert identified.std < 2e-3
     assert abs(identified.identified - stretch) < 4.0 * identified.std

@@ -180,7 +180,7 @@ def test_killed_while_writing(measured: Path, tmp_path: Path) -> None:
             )
             for _ in range(2)
         ]
-        longest = 3 * max(float(_told(saver)) for saver in savers)
+        longest = 2 * max(float(_told(saver)) for saver in savers)  # two at once take that long
         for _ in range(times):
             children = [int(_told(saver, "\n")) for saver in savers]
             time.sleep(rng.uniform(0.0, longest))

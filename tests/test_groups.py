@@ -103,10 +103,10 @@ def test_groups_are_closed_and_regions_need_no_symmetry(name: str, how: str, see
 
 
 @pytest.mark.slow
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(*CASES)
 def test_many_groups_are_closed(name: str, how: str, seed: int) -> None:
-    """The same of 50 machines."""
+    """The same of 25 machines."""
     check(name, how, seed)
 
 

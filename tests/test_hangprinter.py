@@ -88,9 +88,9 @@ def test_gains_are_needed(mechanism: pincal.Mechanism, data: pincal.Measurements
 def test_rough_starts_reach_the_optimum(
     mechanism: pincal.Mechanism, data: pincal.Measurements
 ) -> None:
-    """From 50 starts with every anchor coordinate up to 500 mm off, most reach 0.623 mm."""
+    """From 25 starts with every anchor coordinate up to 500 mm off, most reach 0.623 mm."""
     rng, reached = np.random.default_rng(0), 0
-    for _ in range(50):
+    for _ in range(25):
         start = mechanism.with_parameters(
             {
                 leg.name: leg.nominal + np.r_[rng.uniform(-0.5, 0.5, 3), 0.0]
@@ -99,8 +99,7 @@ def test_rough_starts_reach_the_optimum(
         )
         result = pincal.calibrate(start, data, noise=HELD, rough=True)
         reached += result.converged and rms(result) <= 0.63e-3
-    print(f"{reached} of 50 starts")
-    assert reached >= 45
+    assert reached >= 23
 
 
 @pytest.mark.slow

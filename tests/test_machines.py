@@ -51,7 +51,7 @@ def test_each_command_takes_machines_with_closed_loops(name: str, tmp_path: Path
     plan, measured, result = (tmp_path / part for part in ("plan.csv", "measured.csv", "result"))
     done("select", tmp_path / name, "-o", plan, "--count", 12, "--starts", 1)
     done("simulate", tmp_path / name, plan, "-o", measured, "--noise-reading", 1e-5)
-    done("calibrate", tmp_path / name, measured, "-o", result)
+    done("calibrate", tmp_path / name, measured, "--folds", 2, "-o", result)
     assert (result / "report.html").stat().st_size > 10_000
     done("view", tmp_path / name, result, "-o", tmp_path / "view.html")
     assert pincal.load_mechanism(result).legs

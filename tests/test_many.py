@@ -181,12 +181,13 @@ def test_a_line_is_one_table(plan: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_errors_are_those_of_linear_propagation(plan: Path) -> None:
     """Mean squares before and after are GΣGᵀ of central differences and of the Cramér–Rao bound."""
-    machine, count = pincal.load_mechanism("5R"), 200
+    machine, count = pincal.load_mechanism("5R"), 100
     workspace = pincal.sample_configurations(machine, 50, 2)
     study = pincal.montecarlo(
         machine, plan, count, workers=2, noise=NOISE, options=OPTIONS, workspace=workspace
     )
-    before, after = np.mean(study.known**2, axis=1)
+    squares = study.known**2
+    (before, after), spreads = squares.mean(axis=1), squares.std(axis=1) / np.sqrt(count)
 
     def moved(id_: str, step: float) -> np.ndarray:
         off = machine.with_parameters({id_: machine.parameters[id_].nominal + step})
@@ -197,13 +198,12 @@ def test_errors_are_those_of_linear_propagation(plan: Path) -> None:
         id_: np.mean(np.sum((moved(id_, sigma) - moved(id_, -sigma)) ** 2, axis=1)) / 4.0
         for id_, sigma in study.sigmas.items()
     }
-    spread = np.sqrt(2.0 / count)  # of a square of one normal number: more than of a sum of them
-    assert before == pytest.approx(sum(parts.values()), rel=4.0 * spread)
+    assert before == pytest.approx(sum(parts.values()), abs=4.0 * spreads[0])
     poses = pincal.Plan.from_csv(plan, machine)
     information = np.linalg.inv(pincal.forecast(machine, poses, NOISE).covariance)
     prior = np.diag([study.sigmas[id_] ** -2.0 for id_ in machine.parameters.ids])
     bound = platform_error(machine, np.linalg.inv(information + prior), workspace).position
-    assert after == pytest.approx(bound**2, rel=4.0 * spread)
+    assert after == pytest.approx(bound**2, abs=4.0 * spreads[1])
     for cost in study.costs():
         share = sum(part for id_, part in parts.items() if id_.endswith(f".{cost.name}"))
         assert cost.before == pytest.approx(share / sum(parts.values()), abs=0.01)
@@ -215,7 +215,7 @@ def test_what_is_not_calibrated_costs_its_tolerance(plan: Path) -> None:
     errors = {}
     for fixed in ((), ("l",)):
         options = pincal.Options(tolerance={"m": 1e-3, "rad": 1e-3}, fixed=fixed)
-        study = pincal.montecarlo("5R", plan, 40, workers=2, noise=NOISE, options=options)
+        study = pincal.montecarlo("5R", plan, 20, workers=1, noise=NOISE, options=options)
         errors[fixed] = {cost.name: cost.after for cost in study.costs()}
     assert max(errors[()].values()) < 0.1
     assert max(errors["l",], key=errors["l",].__getitem__) == "l"
@@ -255,7 +255,7 @@ def test_any_number_of_workers_gives_the_same_table(plan: Path, tmp_path: Path) 
 @pytest.mark.slow
 def test_killed_processes_are_done_again(plan: Path, tmp_path: Path) -> None:
     """A killed or interrupted command goes on, a killed worker stops nothing: to the same bytes."""
-    typed = ["montecarlo", "5R", plan, *TYPED, "--machines", 36, "-o"]
+    typed = ["montecarlo", "5R", plan, *TYPED, "--machines", 24, "-o"]
     done(*typed, tmp_path / "whole.csv", "--workers", 1)
     table, lines = tmp_path / "table.csv", 1
     for victim in ("command", "interrupted", "worker"):
@@ -279,7 +279,7 @@ def test_killed_processes_are_done_again(plan: Path, tmp_path: Path) -> None:
             process.communicate()
             assert process.returncode == 0
         lines = table.read_bytes().count(b"\n")
-        assert (lines == 37) == (victim == "worker")
+        assert (lines == 25) == (victim == "worker")
     assert table.read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
