@@ -32,8 +32,6 @@ heights = data.poses * [np.nan, np.nan, 1.0]  # a probe tells the height alone
 data = replace(data, poses=heights)
 
 forecast = pincal.forecast(printer, disc(41), noise, measured=["z"])
-weak = forecast.weak[0]
-print(f"{weak.first}, {weak.second}: weakly determined, correlation {weak.correlation:.3f}")
 print(f"by heights alone the radius within {1e3 * forecast.std[0]:.2f} mm")
 
 # So rods were measured with calipers, to 0.1 mm.

@@ -16,10 +16,6 @@ for count in counts:
         found.append(1e3 * forecast.platform_error(candidates[:500]).position)
     print(f"{3 * count} poses: {chosen[-1]:.3f} mm chosen, {random[-1]:.3f} mm at random")
 
-worst = pincal.forecast(robot, candidates[:18], noise)
-for pair in worst.weak[:3]:
-    print(f"{pair.first} and {pair.second}: weakly determined, correlation {pair.correlation:.3f}")
-
 figure = Figure(figsize=(7, 4), layout="constrained")
 axes = figure.subplots()
 axes.plot([3 * n for n in counts], random, "o-", label="at random")

@@ -391,12 +391,10 @@ def test_a_printer_is_calibrated_from_its_configuration(tmp_path: Path) -> None:
     assert "tower b: angle 330.0000°, arm 333.0000 mm, endstop 297.0500 mm" in said.out
     assert "41 probed points" in said.err
     assert pincal.load_mechanism(printer).leg_names == ("tower_a", "tower_b", "tower_c")
-    said = done(
+    done(
         *("calibrate", "--no-report", printer, printer / "probing.csv", "-o", result),
-        *("--noise-position", 5e-6, "--folds", 0, "--verbose"),
+        *("--noise-position", 5e-6, "--folds", 0),
     )
-    flat = " ".join(said.out.split())
-    assert "radius and arm of 3 legs are weakly determined together" in flat
     said = done("export", result, "-o", new)
     assert "the printer's origin is at" in said.err
     ways = 1e3 * read_klipper(path)[1].readings

@@ -17,7 +17,6 @@ from pincal.calibration.promise import excess_of, expected_error
 from pincal.calibration.result_parts import IdentifiedParameter, ResidualGroup, Validation
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.fit import Outlier
-from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.model import ORIGIN, Measurements, Mechanism, Noise, Plan, Poses
@@ -184,12 +183,6 @@ class CalibrationResult:
         if self.converged:
             return "converged"
         return f"did not converge: the next step would be {self.left:.2g} standard errors"
-
-    @cached_property
-    def weak(self) -> tuple[WeakPair, ...]:
-        """Pairs of parameters that are weakly determined, the weakest first."""
-        ids = [p.id for leg in self.legs for p in leg.parameters]
-        return weak_pairs(ids, self.parameter_covariance)
 
     @property
     def parameter_covariance(self) -> Array:

@@ -244,7 +244,6 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
             | {"count": part.n_residuals, "rms": part.rms_after, "sigma": part.rms_noise}
             for part in result.observed
         ],
-        "weakly_determined": [pair._asdict() for pair in result.weak],
         "validation": held_out and vars(held_out) | _named(held_out, "position orientation"),
         "legs": [
             _named(leg, "name rank condition rms_before rms_after n_residuals")

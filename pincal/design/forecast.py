@@ -25,11 +25,9 @@ from pincal.estimation.observability.identifiable import (
     GENERIC,
     NEGLIGIBLE,
     Identifiability,
-    WeakPair,
     identifiability,
     nearest_to_nominal,
     scaled_axes,
-    weak_pairs,
 )
 from pincal.estimation.observation import Observation
 from pincal.estimation.rows import white_rows
@@ -220,13 +218,6 @@ class Forecast:
         pairs = zip(self.mechanism.parameters, np.isinf(self.std), strict=True)
         blurred = {parameter.id for parameter, unknown in pairs if unknown}
         return [group for group in self.rank.groups if not blurred.isdisjoint(group)]
-
-    @cached_property
-    def weak(self) -> tuple[WeakPair, ...]:
-        """Pairs of parameters that are weakly determined, the weakest first."""
-        determined = np.isfinite(self.std)
-        clear, ids = np.outer(determined, determined), [p.id for p in self.mechanism.parameters]
-        return weak_pairs(ids, np.where(clear, self.covariance, 0.0))
 
     def platform_error(self, poses: Plan | Array) -> PlatformError:
         """Return the expected error of the calibrated platform over poses, shape (N, dof).

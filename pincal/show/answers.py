@@ -13,15 +13,12 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.validation import MISSES
 from pincal.errors import MechanismError
 from pincal.estimation.fit import Outlier
-from pincal.estimation.observability.identifiable import WeakPair
 from pincal.estimation.system import UNLIKELY
 from pincal.formats.delta_printer import delta_printer
-from pincal.model import Mechanism
-from pincal.model.checks import counted
 from pincal.show.misses import WorkspaceErrors
 from pincal.show.tables import accuracy_table, held_out_errors
 from pincal.words.findings import WORDINGS, sentence
-from pincal.words.numbers import amount, capital, chance, listed, number, rounded
+from pincal.words.numbers import amount, capital, chance, number, rounded
 from pincal.words.table import Table
 from pincal.words.wording import NOISE_SOURCES, UNCOVERED, clean, named, noise_in_words
 
@@ -31,7 +28,6 @@ _NEXT = {
     "select": "Measure more poses",
     "explain": "Find out what the model lacks",
 }
-_MOST_PAIRS = 3  # weak pairs that are named
 _NOTED = {"tolerance-found", "points-left-out"}  # findings listed as support of the answers
 _WRONG_ROWS = {"wrong-rows", "wrong-verification", "outliers"}
 _MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
@@ -253,13 +249,13 @@ def _rows(outliers: Sequence[Outlier]) -> str:
 
 
 def supporting_lines(result: CalibrationResult) -> list[str]:
-    """Return lines on the fit, its noise, held-out rows, weak pairs and choices of gauge."""
+    """Return lines on the fit, its noise, held-out rows and choices of gauge."""
     lines = [result.message, _noise_line(result)]
     if not result.converged:
         return lines
     if result.begun is not result.nominal:
         lines.append("nominal errors are stated with the zeros of motors as identified")
-    lines += [*check_lines(result), *weak_lines(result.weak, result.nominal)]
+    lines += check_lines(result)
     lines += [f"fixed by choice, {gauge_line(result)}"] if result.gauge else []
     return lines
 
@@ -307,22 +303,3 @@ def check_lines(result: CalibrationResult) -> list[str]:
         f"({chance(validation.p_value)}, a warning below {UNLIKELY:g}); in the fit "
         f"{validation.fit:.2f} σ ({rows})"
     ]
-
-
-def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
-    """Return lines on weakly determined pairs of parameters; equal pairs of legs share a line."""
-    groups: dict[tuple[str, str], list[WeakPair]] = {}
-    for pair in pairs:
-        first, second = (mechanism.parameters[id_] for id_ in (pair.first, pair.second))
-        same_leg = first.owner == second.owner
-        names = (first.name, second.name) if same_leg else (first.id, second.id)
-        groups.setdefault(names, []).append(pair)
-    lines = []
-    for names, (worst, *others) in list(groups.items())[:_MOST_PAIRS]:
-        shown = f"{listed(names)} of {len(others) + 1} legs" if others else listed(worst[:2])
-        lines.append(
-            f"{shown} are weakly determined together (correlation {worst.correlation:+.3f}): "
-            "measure one of them by other means, and the other is known better"
-        )
-    omitted = len(groups) - len(lines)
-    return [*lines, f"and {counted(omitted, 'more such pair')}"] if omitted else lines

@@ -14,7 +14,7 @@ from pincal.estimation.observability.courses import Score
 from pincal.estimation.system import FALSE_ALARM
 from pincal.model import ORIGIN, Mechanism
 from pincal.model.checks import counted
-from pincal.show.answers import rejected_lines, unpromised, weak_lines
+from pincal.show.answers import rejected_lines, unpromised
 from pincal.show.tables import models_table, screen_table
 from pincal.words.findings import HYPOTHESES
 from pincal.words.numbers import POSES, SMALL, amount, chance, listed, measured
@@ -199,7 +199,6 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     if more := forecast.lost.shape[1]:
         further = f", {counted(more, 'freedom')} more" if count else ""
         lines.append(f"not determined (—){further}: {groups_in_words(forecast.undetermined)}")
-    lines += weak_lines(forecast.weak, forecast.mechanism)
     sizes = [("position", error.position, "m"), ("orientation", error.orientation, "rad")]
     sizes = sizes if "rad" in error.units else sizes[:1]
     known = [amount(size, unit) for _, size, unit in sizes if size < np.inf]

@@ -178,7 +178,6 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             "Parameters",
             tables.parameters_table(result),
             tables.outside_table(result) if result.external else None,
-            [f"{line}." for line in answers.weak_lines(result.weak, result.nominal)],
         ),
         (
             "residuals",

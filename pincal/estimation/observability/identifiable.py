@@ -235,7 +235,6 @@ def changes_of(leg: Leg, size: float) -> Array:
 
 _CLEARLY = 3.0  # information over that from noise, above which a direction is observed
 _TAKES_PART = 0.1  # component over a direction's largest one, above which a parameter is named
-_WEAKLY = 3.0  # gain in standard error if the other parameter were known: correlation 0.943
 
 
 def check_rank(
@@ -379,28 +378,3 @@ def hold_unobservable(
     names = taking_part(observable.free_labels, weak) if len(weak) else ()
     less = observable.held(weak / scale) if len(weak) else observable
     return HeldUnknowns(less, observable, nominal, directions, groups, names, fewest, weakest)
-
-
-class WeakPair(NamedTuple):
-    """Two parameters whose errors mostly compensate each other."""
-
-    first: str
-    """Id of the parameter, such as ``"leg_1.l"``."""
-    second: str
-    correlation: float
-
-
-def weak_pairs(ids: Sequence[str], covariance: Array) -> tuple[WeakPair, ...]:
-    """Return the pairs of parameters that are weakly determined together, the weakest first.
-
-    The covariance has shape (n, n). Parameters whose variance is zero or not finite, and tied
-    pairs, are left out.
-    """
-    std = np.sqrt(np.diagonal(covariance))
-    known = np.isfinite(std) & (std > 0.0)
-    scale = np.where(known, std, np.inf)
-    rho = np.where(np.outer(known, known), covariance, 0.0) / np.outer(scale, scale)
-    left = 1.0 - np.triu(rho, 1) ** 2  # share of a variance that remains if the other is known
-    pairs = np.argwhere((left < _WEAKLY**-2) & (left > NEGLIGIBLE**2)).tolist()
-    pairs.sort(key=lambda pair: -abs(rho[*pair]))
-    return tuple(WeakPair(ids[i], ids[j], float(rho[i, j])) for i, j in pairs)
