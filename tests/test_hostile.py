@@ -132,7 +132,8 @@ def test_meshes_are_neither_opened_nor_kept(name: str, folder: Path) -> None:
     same = pincal.load_mechanism(folder)
     mesh = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
     for file in (LEG, PLATFORM):
-        edit(folder / file, "</link>", f"{mesh}</link>")
+        root = "leg_1_base" if file == LEG else "platform"
+        edit(folder / file, f'<link name="{root}"/>', f'<link name="{root}">{mesh}</link>')
     mechanism = pincal.load_mechanism(folder)
     assert mechanism == same
     saved = mechanism.save(folder.parent / "saved")

@@ -181,11 +181,11 @@ def test_few_rows_without_noise_are_refused_with_the_reason(tables: Path) -> Non
 
 
 def test_wrong_kinds_are_named_as_the_documentation_names_them() -> None:
-    """Articles, None, and all that is taken: also a DataFrame."""
+    """Articles, None, and all that is taken."""
     with pytest.raises(pincal.MeasurementError, match="noise: expected a Noise or None; got 3"):
         pincal.calibrate("3RRR", "none.csv", noise=3)
     with pytest.raises(
         pincal.MeasurementError,
-        match="measurements: expected Measurements, a CSV file or a DataFrame; got 3",
+        match="measurements: expected Measurements or a CSV file; got 3",
     ):
         pincal.calibrate("3RRR", 3)
