@@ -67,7 +67,7 @@ def align_start(
             state = poses_at_rest(way.evaluate(state)).state
     good, agrees = _closes_as_home(mechanism, problem, state), np.ones(len(data), dtype=bool)
     if len(outside):
-        values, agrees = aligned(problem, data, state, good)
+        values, agrees = aligned(observation, data, state, good)
         state = replace(state, external=values)
     guess = placed(observation, data, state.external)
     matrices = np.where(good[:, None, None], state.matrices, guess)
@@ -239,7 +239,7 @@ def check_start(problem: Problem, state: State) -> None:
 
 
 def aligned(
-    problem: Problem, data: Measurements, state: State, reached: Mask
+    observation: Observation, data: Measurements, state: State, reached: Mask
 ) -> tuple[External, Mask]:
     """Return the external unknowns that take the targets to where they were measured.
 
@@ -247,8 +247,7 @@ def aligned(
     least squares, from the rows that agree with most other rows. ``state`` is the nominal machine
     at the poses of its readings, which determine the ``reached`` ones, shape (N,).
     """
-    observation, platform = problem.observation, problem.platform
-    targets = observation.setup.targets
+    platform, targets = observation.platform, observation.setup.targets
     measured = np.stack([target_positions(platform, data, name) for name in targets])
     for name, _, rows in observation.touches():  # a known point is a position
         _, point, contact = observation.setup.touched[name]
@@ -259,10 +258,10 @@ def aligned(
         far = np.linalg.norm(measured - np.median(measured[known], axis=0), axis=2)
         extent = max(float(np.median(far[known])), 1e-300)
         weights = np.where(known, extent / np.maximum(far, extent), 0.0)  # far points weigh less
-        missed = _frame_and_offsets(problem, state, measured, weights, absolute=True)[-1]
+        missed = _frame_and_offsets(observation, state, measured, weights, absolute=True)[-1]
         usual = float(np.median(missed[known]))
         agreeing = known & (missed <= max(_GROSS * usual, _MISFIT * extent))
-    frame, offsets, _ = _frame_and_offsets(problem, state, measured, agreeing.astype(float))
+    frame, offsets, _ = _frame_and_offsets(observation, state, measured, agreeing.astype(float))
     turn, turns = state.external.turn, observation.orientations
     turned = reached & np.isfinite(turns).all(axis=(1, 2))
     if observation.external.turned and turned.any():
@@ -276,14 +275,19 @@ def aligned(
 
 
 def _frame_and_offsets(
-    problem: Problem, state: State, measured: Array, weights: Array, *, absolute: bool = False
+    observation: Observation,
+    state: State,
+    measured: Array,
+    weights: Array,
+    *,
+    absolute: bool = False,
 ) -> tuple[Array, Array, Array]:
     """Return frame (4, 4), offsets (n_targets, 3) and misfits (n_targets, N), [m].
 
     Weights, shape (n_targets, N), multiply squares, and are 0 where a target was not measured; with
     ``absolute`` they are where the reweighting for least absolute distances begins.
     """
-    setup, platform = problem.observation.setup, problem.platform
+    setup, platform = observation.setup, observation.platform
     R, r = state.matrices[:, :3, :3], state.matrices[:, :3, 3]
     frame, offsets = state.external.frame, state.external.offsets.copy()
     unknown = {i for i, target in enumerate(setup.targets.values()) if target.unknown}

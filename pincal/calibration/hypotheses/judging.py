@@ -21,10 +21,10 @@ from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.identifiable import DIFFER, changes_of
-from pincal.estimation.problem import Linear, Problem
+from pincal.estimation.problem import LegBlock
 from pincal.estimation.start import aligned, placed
 from pincal.estimation.system import NormalEquations, System
-from pincal.estimation.unknowns import External, State, unknowns
+from pincal.estimation.unknowns import BlockRows, External, State, unknowns
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import inverse
@@ -240,19 +240,22 @@ def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list
     """Return the fit of all legs to the measurements corrected by each hypothesis."""
     if not hypotheses:
         return []
-    calibration, platform = case.corrected(hypotheses), case.mechanism.platform
-    parts = np.split(np.arange(len(calibration.measurements)), len(hypotheses))
-    matrices = _placed(case, calibration, parts)
-    known = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
-    used, legs = calibration.used & known[:, None], range(len(case.mechanism.legs))
-    roots = calibration.noise.poses.roots
-    block = calibration.leg_block(legs, np.arange(len(matrices)), used, roots)
-    at_home = np.where(known[:, None, None], matrices, platform.home_pose.as_matrix())
-    state = State(case.mechanism.parameters.values, at_home)
+    corrected, platform = case.corrected(hypotheses), case.mechanism.platform
+    data, legs = corrected.measurements, range(len(case.mechanism.legs))
+    parts = np.split(np.arange(len(data)), len(hypotheses))
+    matrices = _placed(case, corrected, parts)
+    known = np.asarray(np.isfinite(matrices).all(axis=(1, 2), keepdims=True))
+    at_home = np.where(known, matrices, platform.home_pose.as_matrix())
+    readings = np.where(known[:, :, 0], data.readings, np.nan)
+    data = replace(data, poses=platform.from_matrices(at_home), readings=readings)
+    calibration = replace(corrected, measurements=data)
+    block = calibration.leg_block(legs, np.arange(len(data)), calibration.used)
     with np.errstate(all="ignore"):  # wrong units may overflow
-        nominal = Problem(block, calibration.observation).evaluate(state)
+        closed = block.evaluate(State(case.mechanism.parameters.values, at_home))
     fits = zip(hypotheses, parts, strict=True)
-    return [_fit(hypothesis, calibration, part, matrices, nominal) for hypothesis, part in fits]
+    return [
+        _fit(hypothesis, calibration, part, matrices, block, closed) for hypothesis, part in fits
+    ]
 
 
 def other_side(mechanism: Mechanism, matrices: Array) -> float:
@@ -280,11 +283,10 @@ def _placed(case: Case, calibration: Calibration, parts: Sequence[Index]) -> Arr
     poses = np.full_like(reached, np.nan)
     for part in parts:
         rows, seen, T, good = data.rows(part), observation.at(part), reached[part], converged[part]
-        problem = Problem(calibration.leg_block([0], part), seen)
         start = State(case.mechanism.legs[0].nominal, T, external=seen.external.start)
         with suppress(MeasurementError):
             if good.any() and 2 * good.sum() >= max(known[part].sum(), 6):
-                external, _ = aligned(problem, rows, start, good)
+                external, _ = aligned(seen, rows, start, good)
                 certain = good | np.isfinite(rows.poses).all(axis=1)
                 matrices = placed(seen, rows, external, platform.from_matrices(T))
                 poses[part[certain]] = matrices[certain]
@@ -292,65 +294,56 @@ def _placed(case: Case, calibration: Calibration, parts: Sequence[Index]) -> Arr
 
 
 def _fit(
-    hypothesis: Hypothesis, calibration: Calibration, part: Index, matrices: Array, nominal: Linear
+    hypothesis: Hypothesis,
+    calibration: Calibration,
+    part: Index,
+    matrices: Array,
+    block: LegBlock,
+    closed: BlockRows,
 ) -> Judged:
     """Return the fit of each leg in some rows of corrected measurements at poses (N, 4, 4)."""
-    mechanism, block = calibration.mechanism, nominal.problem.leg_block
-    used, count = block.used[part], len(mechanism.legs)
-    (gap, stroke), bent = np.full((2, count), np.nan), np.zeros(count, dtype=int)
+    mechanism, used = calibration.mechanism, block.used[part]
+    (gap, stroke), bent = np.full((2, used.shape[1]), np.nan), np.zeros(used.shape[1], dtype=int)
     with np.errstate(all="ignore"):
         for i in np.flatnonzero(used.sum(axis=0) > 1).tolist():
             leg, rows, of_leg = mechanism.legs[i], part[used[:, i]], block.leg_rows[i]
-            readings = calibration.measurements.readings[rows, block.reading_columns[i]]
+            readings = block.readings[rows, block.reading_columns[i]]
             deviations = (readings - np.median(readings, axis=0))[:, None]
-            by_reading = nominal.by_measured[rows, of_leg, block.reading_columns[i]]
+            by_reading = closed.by_measured[rows, of_leg, block.reading_columns[i]]
             moved = np.linalg.norm(by_reading * deviations, axis=(1, 2))
-            joints = nominal.state.joints[i][rows]
-            closure = nominal_legs(mechanism)[i].evaluate(joints, matrices[rows])
+            closure = nominal_legs(mechanism)[i].evaluate(closed.joints[i][rows], matrices[rows])
             bent[i] = (mode_sign(closure) * home_mode(leg, mechanism.platform) < 0.0).sum()
-            gap[i] = np.median(_missed(nominal.conditions[rows, of_leg])) / leg.size
+            gap[i] = np.median(_missed(closed.value[rows, of_leg])) / leg.size
             stroke[i] = np.median(moved) / leg.size
     # the platform moves legs without a sensor, too
     stroke[[not leg.sensors for leg in mechanism.legs]] = np.nan_to_num(stroke).max()
-    left = cache(partial(_nearest, calibration, part, nominal))
-    return Judged(
-        hypothesis, calibration, matrices[part], used.sum(axis=0), gap, stroke, bent, left
-    )
+    left, rows = cache(partial(_nearest, calibration, part)), used.sum(axis=0)
+    return Judged(hypothesis, calibration, matrices[part], rows, gap, stroke, bent, left)
 
 
 def _missed(conditions: Array) -> Array:
     return np.nan_to_num(np.linalg.norm(conditions, axis=1), nan=np.inf)
 
 
-def _nearest(calibration: Calibration, part: Index, nominal: Linear, place: int) -> Array:
+def _nearest(calibration: Calibration, part: Index, place: int) -> Array:
     """Return a leg's closure residuals, over its size, for the best machine near nominal, (N,).
 
     To first order at the measured poses: a few reweighted Gauss–Newton steps from nominal, none
     longer than machines differ from drawings.
     """
-    block = nominal.problem.leg_block
-    leg, of_leg, used = block.legs[place], block.leg_rows[place], block.used[part, place]
-    rows = part[used]
-    roots, observation = calibration.noise.poses.roots[rows], calibration.observation.at(rows)
-    problem = Problem(calibration.leg_block([place], rows, None, roots), observation)
-    linear = Linear(
-        problem,
-        State(leg.nominal, nominal.state.matrices[rows]),
-        nominal.conditions[rows, of_leg],
-        nominal.by_parameter[rows, of_leg, block.columns[place]],
-        nominal.by_pose[rows, of_leg],
-        nominal.by_measured[rows, of_leg, block.reading_columns[place]],
-    )
+    leg = calibration.mechanism.legs[place]
+    problem, rows = calibration.rows(part).measured_problem([leg.name])
     differ, left = changes_of(leg, leg.size), np.full(len(part), np.nan)
     free = replace(unknowns([leg]), priors=differ)
-    every, conditions = np.ones(len(rows), dtype=bool), linear.conditions
-    system = System(problem, free, every, known=True, robust=True)
+    system = System(problem, free, np.ones(len(rows), dtype=bool), known=True, robust=True)
     with np.errstate(all="ignore"):
+        nominal = problem.evaluate(problem.start(leg.nominal))
+        conditions = nominal.conditions
         for _ in range(_STEPS):
-            squares = (linear.whitened(conditions) ** 2).sum(axis=1)
+            squares = (nominal.whitened(conditions) ** 2).sum(axis=1)
             scaled = system.with_priors(differ / system.scale(squares))
-            step = NormalEquations.of(scaled.triangle(linear, system.weights(squares))).step()
+            step = NormalEquations.of(scaled.triangle(nominal, system.weights(squares))).step()
             step /= max(1.0, float(np.abs(step / differ).max(initial=0.0)))
-            conditions = linear.after(step)
-        left[used] = _missed(conditions) / leg.size
+            conditions = nominal.after(step)
+        left[rows] = _missed(conditions) / leg.size
     return left
