@@ -302,19 +302,15 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
     written with few digits may be equal by chance; rows of one ``pose`` are repeats, not copies.
     """
     measured = np.column_stack([data.poses, *data.extra.values()])
-    first: dict[tuple[str, bytes], int] = {}
-    copies = []
+    groups, places = dict[tuple[str, bytes], list[int]](), data.places or ("",) * len(data)
     nothing = np.isnan(measured).all(axis=1)  # for example, a photo shows no board
     for row in np.flatnonzero(~nothing | (nothing.all() & (ROW not in data.contacts))).tolist():
         served = "" if data.sets is None or every_pose else data.sets[row]
-        first_row = first.setdefault((served, data.readings[row].tobytes()), row)
-        if first_row == row:
-            continue
-        if not np.array_equal(measured[first_row], measured[row], equal_nan=True):
-            return
-        place = data.places[row] if data.places is not None else ""
-        if not (place and data.places and place == data.places[first_row]):
-            copies.append((first_row, row))
+        groups.setdefault((served, data.readings[row].tobytes()), []).append(row)
+    pairs = [(first, row) for first, *others in groups.values() for row in others]
+    if not all(np.array_equal(measured[a], measured[b], equal_nan=True) for a, b in pairs):
+        return
+    copies = [(a, b) for a, b in pairs if not places[a] or places[a] != places[b]]
     if copies:
         rows = tuple(sorted({row for pair in copies for row in pair}))
         copied = finding("rows-copied", rows, first=copies[0], pairs=len(copies))
