@@ -24,7 +24,7 @@ from pincal.kinematics.derivatives import Demand, leg_demands_at, nearest_closur
 from pincal.kinematics.forward import LOADS, forward, reading_range, with_loads
 from pincal.kinematics.influences import Influences, influence_columns, influences_of
 from pincal.model import Leg, Mechanism, Plan, Poses
-from pincal.model.checks import ROUNDING, ROWS, array_of, numbers_of
+from pincal.model.checks import ROUNDING, ROWS, array_of
 from pincal.types import Array, Mask
 
 _CLOSES = 0.01  # largest gap of a leg at measured readings and poses, over its size
@@ -166,7 +166,7 @@ class Legs(NamedTuple):
 def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
     """Return a plan, of poses if these are given; readings stay if poses do not determine them."""
     if not isinstance(planned, Plan):
-        return Plan(numbers_of(planned, "poses", MechanismError))
+        return Plan(planned)
     readings = planned.readings if mechanism.by_readings else None
     influences, contacts = planned.influences, planned.contacts
     return Plan(planned.poses, planned.sets, readings, influences=influences, contacts=contacts)

@@ -30,7 +30,7 @@ from pincal.kinematics.closure import Closure, LegClosure, evaluate, joint_range
 from pincal.kinematics.influences import Influences, gravity_loads, influence_columns
 from pincal.kinematics.singularity import platform_margin
 from pincal.model import LOAD, Mechanism, Poses
-from pincal.model.checks import ROUNDING, numbers_of
+from pincal.model.checks import ROUNDING, array_of, finite_rows
 from pincal.model.consistency import ROUGH
 from pincal.types import Array, Index, Mask
 
@@ -147,16 +147,10 @@ def forward(
         MeasurementError: no term depends on an influence, or it has a wrong shape.
     """
     mechanism = as_mechanism(mechanism)
-    readings = numbers_of(readings, "readings", MechanismError)
-    width = len(mechanism.reading_names)
-    if readings.ndim != 2 or readings.shape[1] != width:
-        raise MechanismError(
-            f"readings have shape (N, {width}) for {', '.join(mechanism.reading_names)}; "
-            f"got {readings.shape}"
-        )
-    if not np.isfinite(readings).all():
-        row = int(np.argmin(np.isfinite(readings).all(axis=1)))
-        raise MechanismError(f"reading {row + 1} is not a finite number")
+    names = mechanism.reading_names
+    label = f"readings ({', '.join(names)})"
+    readings = array_of(readings, ("N", len(names)), label, MechanismError)
+    finite_rows(readings, "reading", MechanismError)
     platform, tolerance = mechanism.platform, ROUNDING * max(1.0, mechanism.size)
     start = platform.matrices(
         np.tile(platform.home, (len(readings), 1)) if guess is None else guess

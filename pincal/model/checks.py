@@ -107,12 +107,12 @@ def number_of(value: Any, name: str, error_type: type[PincalError]) -> float:
     return float(value)
 
 
-def numbers_of(values: Any, name: str, error_type: type[PincalError]) -> Array:
-    """Return values of any shape as an array of float64; or raise an error of the given type."""
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as fault:
-        raise error_type(f"{name}: expected numbers; got {described(values)}") from fault
+def finite_rows(rows: Array, noun: str, error_type: type[PincalError]) -> Array:
+    """Return rows (N, k); raise an error of the given type if a number in them is not finite."""
+    if not np.isfinite(rows).all():
+        row = int(np.argmin(np.isfinite(rows).all(axis=1)))
+        raise error_type(f"{noun} {row + 1} has a number that is not finite")
+    return rows
 
 
 def count_of(

@@ -14,7 +14,15 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.model.checks import array_of, must_be, names_of, numbers_of, one_line, triple, wrapped
+from pincal.model.checks import (
+    array_of,
+    finite_rows,
+    must_be,
+    names_of,
+    one_line,
+    triple,
+    wrapped,
+)
 from pincal.types import Array
 
 if TYPE_CHECKING:
@@ -208,21 +216,14 @@ class Platform:
 
     def checked(self, poses: object) -> Array:
         """Return coordinates as an array (N, dof); raise MechanismError if shape or values fail."""
-        coordinates = numbers_of(poses, "poses", MechanismError)
-        if coordinates.ndim != 2 or coordinates.shape[1] != self.dof:
-            raise MechanismError(
-                f"poses of a {self.kind!r} platform have shape (N, {self.dof}) for "
-                f"{', '.join(self.coordinates)}; got shape {coordinates.shape}"
-            )
-        if not np.isfinite(coordinates).all():
-            row = int(np.argmin(np.isfinite(coordinates).all(axis=1)))
-            raise MechanismError(f"pose {row + 1} has a coordinate that is not a finite number")
-        return coordinates
+        label = f"poses of a {self.kind!r} platform ({', '.join(self.coordinates)})"
+        coordinates = array_of(poses, ("N", self.dof), label, MechanismError)
+        return finite_rows(coordinates, "pose", MechanismError)
 
     def coordinates_of(self, poses: Poses) -> Array:
         """Return the coordinates of poses, shape (N, dof), [m] and [rad], angles in (-pi, pi]."""
         if not isinstance(poses, RigidTransform):
-            return numbers_of(poses, "poses", MechanismError)
+            return array_of(poses, ("N", self.dof), "poses", MechanismError)
         return self.from_matrices(poses.as_matrix())
 
     def moved(self, poses: Array, twists: Array) -> Array:

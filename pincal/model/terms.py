@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.model.checks import count_of, number_of
+from pincal.model.checks import check_sizes, count_of, number_of, set_point
 from pincal.types import Array, Point
 
 APPROACH = "approach"
@@ -219,8 +219,6 @@ class Load:
     """Whether the weight is not known but assumed; amplitudes are then relative to it."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.mass < np.inf:
-            raise MechanismError(f"the load's mass is {self.mass!r}; expected 0 or more [kg]")
+        check_sizes(self, ("mass",), "load's", MechanismError)
         for name in ("centre", "gravity"):
-            if len(values := getattr(self, name)) != 3 or not np.isfinite(values).all():
-                raise MechanismError(f"the load's {name} is {values!r}; expected three numbers")
+            set_point(self, name, f"the load's {name}", MechanismError)
