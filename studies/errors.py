@@ -132,7 +132,7 @@ class Found:
 
 def simulated(study: Study) -> None:
     """Calibrate machines with each error, and with what explains it."""
-    count = 1 if study.quick else 20
+    count, folds = (1, 2) if study.quick else (20, 5)
     mechanism = drawn()
     candidates = pincal.sample_workspace(mechanism, 3000, study.seed)
     selection = pincal.select_poses(mechanism, candidates, 24, noise=NOISE, seed=study.seed)
@@ -149,7 +149,7 @@ def simulated(study: Study) -> None:
         found[name] = Found([], [], [], [], Counter())
         for seed in range(count):
             truth = faulty(pincal.disturb(mechanism, SIGMA, study.seed + seed))
-            tried(found[name], mechanism, truth, (plan, judged), study.seed + seed)
+            tried(found[name], mechanism, truth, (plan, judged), study.seed + seed, folds)
     study.heading("Simulated: a 3-RRR upright")
     study.say(
         f"""{len(poses)} poses, chosen for each leg and all used, in a random order, with the
@@ -187,13 +187,14 @@ def tried(
     truth: pincal.Mechanism,
     plans: tuple[pincal.Plan, pincal.Plan],
     seed: int,
+    folds: int,
 ) -> None:
     """Calibrate one machine, explain it, and calibrate it with what explains it."""
     plan, judged = plans
     data = pincal.simulate(mechanism, truth, plan, NOISE, seed=seed).measurements
     given = {name: data.influences[name] for name in plan.influences}
     data = replace(data, influences=given)  # no loads: they are worked out
-    answer = pincal.explain(mechanism, data, noise=NOISE)
+    answer = pincal.explain(mechanism, data, noise=NOISE, folds=folds)
     result, terms = answer.result, answer.terms
     first = answer.candidates[0]
     seen = first.corrected < LEAST and first.kind.name != "order"

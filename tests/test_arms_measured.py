@@ -325,7 +325,7 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     said = done("select", arm, "--count", 20, "--starts", 2, *given, "-o", plan).out
     assert "30 of 42" in said
     done("simulate", arm, plan, "-o", data)
-    noise = ("--noise-position", 1e-4, "--noise-orientation", 1e-4)
+    noise = ("--noise-position", 1e-4, "--noise-orientation", 1e-4, "--folds", 0)
     done("calibrate", arm, data, *noise, "--no-report", "-o", tmp_path / "result")
     codes = [remark.code for remark in pincal.load_result(tmp_path / "result").gauge]
     assert "redundant-parameters" in codes

@@ -175,11 +175,11 @@ def test_the_term_of_a_screws_pitch_pays_and_is_kept(tmp_path: Path) -> None:
     data = waved("linear_delta", 1, 1e-4, 5e-3)
     data.to_csv(tmp_path / "d.csv", pincal.load_mechanism("linear_delta"))
     noise = ["--noise-position", "20um", "--noise-reading", "20um"]
-    out = done("explain", "linear_delta", tmp_path / "d.csv", *noise).out
+    out = done("explain", "linear_delta", tmp_path / "d.csv", *noise, "--folds", 2).out
     assert "leg_2 follows period:" in out
     assert "the pitch of a screw" in out
     words = shlex.split(next(line for line in out.splitlines() if "pincal calibrate" in line))
-    done(*words[1:-1], tmp_path / "r", "--no-report")
+    done(*words[1:-1], tmp_path / "r", "--no-report", "--folds", 0)
     saved, held_out = (
         pincal.load_mechanism(tmp_path / "r"),
         waved("linear_delta", 1, 1e-4, 5e-3),

@@ -354,7 +354,7 @@ NOISE = ("--noise-position", "20um", "--noise-orientation", 2e-5, "--noise-readi
 def test_the_term_that_is_there_is_named_first_and_pays(tmp_path: Path) -> None:
     data, machine = _with_a_warm_leg(pincal.load_mechanism("3RRR"))
     data.to_csv(tmp_path / "d.csv", machine)
-    out = done("explain", "3RRR", tmp_path / "d.csv", *NOISE).out
+    out = done("explain", "3RRR", tmp_path / "d.csv", *NOISE, "--folds", 2).out
     assert "leg_3 follows temperature" in out
     assert "these terms help" in out
     command = next(line for line in out.splitlines() if "pincal calibrate" in line)

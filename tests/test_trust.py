@@ -56,16 +56,19 @@ def test_held_out_rows_miss_as_expected(method: str, known: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_few_rows_to_verify_with_are_not_judged_too_sharply(*, known: bool) -> None:
-    """Of 60 sound sets of 15 rows, and 5 that no fit has seen, 2 have p < 0.01 at most."""
+    """Of 40 sound sets of 15 rows, and 5 that no fit has seen, one has p < 0.01 at most.
+
+    A right judgement passes with 94 %, one that finds p < 0.01 in a tenth of the sets with 8 %.
+    """
     mechanism, noise = pincal.load_mechanism("3RRR"), pincal.Noise(1e-4, 1e-4, 1e-5)
-    chances, poses = [], workspace("3RRR", 60 * 20)
-    for seed in range(60):
-        truth, plan = pincal.disturb(mechanism, None, seed), pincal.Plan(poses[seed::60])
+    chances, poses = [], workspace("3RRR", 40 * 20)
+    for seed in range(40):
+        truth, plan = pincal.disturb(mechanism, None, seed), pincal.Plan(poses[seed::40])
         data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
         data = replace(data, sets=("",) * (len(data) - 5) + ("verify",) * 5)
         found = validated(mechanism, data, noise=noise if known else None)
         chances.append(found.p_value)
-    assert (np.array(chances) < 0.01).sum() <= 2
+    assert (np.array(chances) < 0.01).sum() <= 1
     assert 0.3 < np.mean(chances) < 0.7
 
 
