@@ -69,7 +69,7 @@ class Picture:
         tips = scene.body.platform[0] @ np.vstack((scene.body.axis * np.eye(3), np.ones(3)))
         points = np.concatenate((scene.points(), tips[:3].T)) @ scene.axes[:2].T
         low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-        margin = 0.06 * float(np.max(high - low))
+        margin = 0.1 * float(np.max(high - low))
         return np.stack((low - margin, high + margin))
 
     def figure(self) -> Figure:
@@ -162,7 +162,7 @@ def _name_axes_and_legs(axes: Axes, scene: Scene) -> None:
     V = scene.axes[:2]
     ends = scene.body.axis * V.T
     feet = np.array([leg.joints[0].placement.xyz for leg in scene.mechanism.legs]) @ V.T
-    named = [(letter, end, end, 7.0) for letter, end in zip("xyz", ends, strict=True)]
+    named = [(letter, end, end, 9.0) for letter, end in zip("xyz", ends, strict=True)]
     named = named[: scene.mechanism.platform.space]  # in the plane z points to the viewer
     for leg, foot in zip(scene.mechanism.legs, feet, strict=True):
         named.append((shortened(leg.name), foot, foot - feet.mean(axis=0), 14.0))
