@@ -15,7 +15,7 @@ from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import ObservabilityError
 from pincal.estimation import components
-from pincal.estimation.fit import Fit, check_covariance, robust_fit
+from pincal.estimation.fit import Fit, robust_fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.identifiable import (
@@ -37,6 +37,7 @@ ROUNDS = 20  # largest number of alternations of fits with the noise, or with fr
 _HELD_MOST = 100.0  # how far machines differ over the standard error: such directions are free
 _CONTRADICTED = 1e-4  # p-value below which rows contradict that directions are as drawn
 _PATIENCE = 75  # steps after which a search may be running away; twice as many if near
+_GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
 _REFITS = 5  # largest number of fits with estimated noise
 SETTLED = 1e-3  # relative change of an estimated standard deviation that is negligible
 
@@ -272,19 +273,45 @@ def _fit_all(calibration: Calibration, system: System, start: Linear | None) -> 
     """Return a fit in which no direction is held, even if it is weakly determined.
 
     Raises:
-        ObservabilityError: a direction is unobservable even without noise, or noise moves
-            parameters farther along it than machines differ from their drawing.
+        ObservabilityError: a direction is unobservable even without noise, or parameters are
+            arbitrary (see ``_checked``).
     """
     linear = start or system.problem.evaluate(system.problem.start(system.unknowns.start))
     lost = hold_unobservable(calibration.mechanism, system, linear, None, 0).groups
     if lost:
-        held = finding("undetermined-held", groups=lost, weak=())
-        raise ObservabilityError(
-            f"{filled(WORDINGS[held.code].says, held)}. Measure poses that separate them, fix one "
-            "of them, or hold them (leave out --strict)"
-        )
+        raise _undetermined(lost, (), "--strict")
     fit = robust_fit(system, linear, near=bool(start))
-    return check_covariance(calibration.mechanism, fit)
+    return _checked(calibration.mechanism, fit, "--strict")
+
+
+def _checked(mechanism: Mechanism, fit: Fit, option: str) -> Fit:
+    """Return the fit; raise if its search ran away, or if its parameters are arbitrary.
+
+    A search ran away where noise moves parameters farther than machines differ from their drawing.
+    Parameters are arbitrary if they moved so far, and two standard errors are longer than the
+    machine, or more than a radian: no linear covariance holds that far.
+    """
+    legs = fit.problem.legs
+    limit = plausible_changes(mechanism, legs)
+    std = np.sqrt(np.diagonal(fit.covariance))[: len(limit)]
+    moved = np.abs(fit.parameters - np.concatenate([leg.nominal for leg in legs])) > limit
+    arbitrary = moved & (2.0 * std > limit / DIFFER) if fit.converged else std > limit
+    misfits = fit.system.known and fit.chi2 > _GOOD * max(fit.degrees_of_freedom, 1)
+    if misfits or not arbitrary.any():
+        return fit
+    ids = np.array([id_ for leg in legs for id_ in leg.parameter_ids])
+    raise _undetermined((), ids[std > limit].tolist(), option)
+
+
+def _undetermined(
+    groups: Sequence[Sequence[str]], weak: Sequence[str], option: str
+) -> ObservabilityError:
+    held = finding("undetermined-held", groups=groups, weak=weak)
+    return ObservabilityError(
+        f"{filled(WORDINGS[held.code].says, held)}. Measure poses that separate them (that differ "
+        "in orientation above all), fix one of them, say how well nominal values are known "
+        f"(--priors), or hold them (leave out {option})"
+    )
 
 
 def _fit_holding(
@@ -369,7 +396,7 @@ def _legs_alone(calibration: Calibration) -> Fits:
         known, progress = calibration.noise.known, options.progress
         system = System(problem, free, counts, known, options.rejects, progress=progress)
         begin = problem.evaluate(problem.start(free.start))
-        fits.append(check_covariance(mechanism, robust_fit(system, begin)))
+        fits.append(_checked(mechanism, robust_fit(system, begin), "--method per-leg"))
     return Fits(calibration, fits)
 
 

@@ -9,20 +9,13 @@ from scipy.special import chdtrc, ndtri
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.noise import RowNoise
-from pincal.estimation.observability.identifiable import (
-    DIFFER,
-    check_information,
-    check_rank,
-    plausible_changes,
-)
+from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.solver import SolverResult, optimum, search, solve_poses, unsolved
 from pincal.estimation.system import NormalEquations, System, outlying, robust_scale, suspected
 from pincal.estimation.unknowns import Unknowns
-from pincal.model import ROW, Mechanism
+from pincal.model import ROW
 from pincal.types import Array, Index, Mask
-from pincal.words.numbers import listed
-from pincal.words.wording import NAMED
 
 
 @dataclass(frozen=True)
@@ -224,7 +217,6 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
 
 _LEAST = float(np.finfo(float).tiny)  # smallest probability that a float can hold
 _ROUNDS = 10  # largest number of rounds of leaving rows out
-_GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
 _LINEAR = 0.1  # share of the machine's size, or [rad], up to which noise acts linearly
 
 
@@ -273,34 +265,6 @@ def _fit_rejecting(system: System, begin: Linear, *, near: bool) -> tuple[Fit, f
         optimum = fit(replace(squares_only, kept=inliers), linear, near=True)
         linear = optimum.last
     return replace(optimum, first=first), scale
-
-
-def check_covariance(mechanism: Mechanism, optimum: Fit) -> Fit:
-    """Return the fit; raise if its search ran away, or if its parameters are arbitrary.
-
-    A search ran away where noise moves parameters farther than machines differ from their drawing.
-    Parameters are arbitrary if they moved so far, and two standard errors are longer than the
-    machine, or more than a radian: no linear covariance holds that far.
-    """
-    if optimum.system.known and optimum.chi2 > _GOOD * max(optimum.degrees_of_freedom, 1):
-        return optimum
-    legs = optimum.problem.legs
-    limit = plausible_changes(mechanism, legs)
-    std = np.sqrt(np.diagonal(optimum.covariance))[: len(limit)]
-    nominal = np.concatenate([leg.nominal for leg in legs])
-    moved, far = np.abs(optimum.parameters - nominal) > limit, std > limit
-    if not ((moved & (2.0 * std > limit / DIFFER)).any() if optimum.converged else far.any()):
-        return optimum
-    ids = np.array([name for leg in legs for name in leg.parameter_ids])[far].tolist()
-    single, hidden = len(ids) == 1, len(ids) - NAMED
-    named = listed([*ids[:NAMED], f"{hidden} more parameters"] if hidden > 1 else ids)
-    them = "it" if single else "them"
-    raise ObservabilityError(
-        f"{named} {'is' if single else 'are'} weakly determined by the measured poses: noise moves "
-        f"{them} farther than machines differ from their drawings. Measure poses that differ more "
-        f"(in orientation above all), hold {them} as near to nominal as can be "
-        "(leave out --strict), or say how well nominal values are known (--priors)"
-    )
 
 
 def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Outlier, ...]:
