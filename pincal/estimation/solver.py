@@ -102,8 +102,6 @@ def search(
     """
     current, damping, growth = Iterate.of(system, start), 0.0, _GROWTH
     steps, highest = 0, max(current.cost, highest)
-    unused = ~system.kept
-    fixed_poses, cost_when_fixed = unused, np.inf
     while current.normal.decrement > _tolerance(system, current, enough):
         if steps >= current.limit(system.max_steps) or damping > _DAMPING[1]:
             break
@@ -113,20 +111,15 @@ def search(
             system.progress(f"step {steps}: {deviation:.3g} σ a pose")
         # 1. A damped step of all unknowns; then each pose alone.
         step = current.normal.step(damping)
-        trial = _end_of_step(system, current, step, fixed_poses)
+        trial = _end_of_step(system, current, step)
         if trial is not None and _accepted(system, current, trial, highest):
             # 2. Accepted: less damping where the cost falls as predicted.
             factor, at_end = _adapt_damping(system, current, trial, step)
             damping, growth = damping * factor, _GROWTH
             damping *= damping > _DAMPING[0]  # none below the least
             current = trial
-            if current.cost < 0.5 * cost_when_fixed:
-                fixed_poses, cost_when_fixed = unused, np.inf
             if at_end:
                 break
-        elif (astray := unsolved(current.linear) & ~fixed_poses).any():
-            # 3. Refused: poses that cannot be solved stay where they are from now on.
-            fixed_poses, cost_when_fixed = fixed_poses | astray, current.cost
         elif current.blind:
             break
         else:
@@ -234,19 +227,12 @@ def _adapt_damping(
     return factor, current.blind and stays
 
 
-def _end_of_step(
-    system: System, current: Iterate, step: Array, fixed_poses: Mask
-) -> Iterate | None:
-    """Return the end of a step of the free unknowns, poses solved but for fixed ones, which stay.
-
-    It is None where the conditions do not exist.
-    """
+def _end_of_step(system: System, current: Iterate, step: Array) -> Iterate | None:
+    """Return the end of a step of the free unknowns, poses solved; None if it does not exist."""
     try:
         with np.errstate(all="ignore"):
-            state, before = current.linear.moved(system.unknowns.map @ step), current.linear.state
-            matrices = np.where(fixed_poses[:, None, None], before.matrices, state.matrices)
-            state = replace(state, matrices=matrices)
-            trial = solve_poses(system.problem.evaluate(state), fixed_poses)
+            state = current.linear.moved(system.unknowns.map @ step)
+            trial = solve_poses(system.problem.evaluate(state))
             finite = np.isfinite(trial.residuals).all() and np.isfinite(trial.by_parameter).all()
             return Iterate.of(system, trial) if finite else None
     except (MeasurementError, np.linalg.LinAlgError):
@@ -261,16 +247,15 @@ def rounding(system: System, linear: Linear) -> float:
     return float(noise * np.sqrt(system.unknowns.n_free / rows))
 
 
-def solve_poses(linear: Linear, fixed_poses: Mask | None = None) -> Linear:
+def solve_poses(linear: Linear) -> Linear:
     """Return the conditions with poses solved to second order.
 
     Each pose takes Gauss–Newton steps, shortened until the next step is shorter (natural
     monotonicity); a pose without such a step stays where it is.
     """
-    problem, poses = linear.problem, len(linear.conditions)
+    problem, share = linear.problem, np.ones(len(linear.conditions))
     if not problem.latent:
         return linear
-    share = np.ones(poses) if fixed_poses is None else np.where(fixed_poses, 0.0, 1.0)
     for _ in range(_POSE_STEPS):
         twists, length = _pose_steps(linear)
         moving = (length > _POSE_SMALL) & (share > _SHORTEST)
