@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 262,
     "architectures": 616,
-    "calibration": 6_852,
+    "calibration": 6_879,
     "cli": 2_666,
     "design": 2_539,
-    "estimation": 4_297,
+    "estimation": 4_246,
     "files": 3_252,
     "formats": 3_669,
     "instruments": 1_548,

@@ -438,6 +438,8 @@ def test_rows_to_verify_with_are_no_outliers(seed: int) -> None:
     result = pincal.calibrate(mechanism, replace(data, sets=sets), noise=noise)
     assert not result.outliers
     assert result.promises
+    moved = mechanism.platform.twists_between(data.poses, result.poses)
+    assert np.abs(moved / [2e-5, 2e-5, 5e-5]).max() < 5.0  # of the identified machine, not as drawn
 
 
 def test_wrong_rows_hide_nothing_that_is_found_without_them() -> None:

@@ -252,6 +252,24 @@ def spoiled(kind: str, seed: int) -> tuple[Mechanism, pincal.Measurements]:
     return mechanism, replace(data, poses=poses, readings=readings)
 
 
+@pytest.mark.parametrize(("kind", "error", "seed"), [("5R", 1e-2, 3), ("3RRR", 3e-2, 3)])
+def test_exact_readings_near_singularities_lead_nowhere_else(
+    kind: str, error: float, seed: int
+) -> None:
+    """Noise is not given, readings are exact: the estimated noise is the true one within a half.
+
+    The 5R's search did not converge from the drawing itself, the 3-RRR's ended nine times as far.
+    """
+    mechanism = pincal.load_mechanism(kind)
+    plan = pincal.sample_configurations(mechanism, 30, seed=0)
+    truth, noise = pincal.disturb(mechanism, error, seed=seed), pincal.Noise(2e-5, 2e-5, 0.0)
+    data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
+    result = pincal.calibrate(mechanism, data, rough=True)
+    assert result.converged
+    assert result.noise
+    assert result.noise.position == pytest.approx(2e-5, rel=0.5)
+
+
 GROSS = ("5R", "3RRR", "6UPS")
 
 
