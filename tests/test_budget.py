@@ -25,7 +25,7 @@ LINES = {
     "kinematics": 3_412,
     "model": 3_561,
     "show": 3_916,
-    "symmetry": 1_220,
+    "symmetry": 1_186,
     "words": 958,
     "workspace": 1_444,
 }

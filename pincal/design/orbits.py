@@ -66,7 +66,7 @@ def selection_group(mechanism: Mechanism) -> SymmetryGroup:
 
     Elements that take home across a type-2 singularity are left out: the machine cannot go there.
     """
-    group = symmetry_group(mechanism, readings=False)
+    group = symmetry_group(mechanism)
     platform = mechanism.platform
     home = np.array([platform.home])
     images = np.concatenate([element.poses(platform, home) for element in group.elements])

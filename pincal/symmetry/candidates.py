@@ -29,8 +29,8 @@ _FITTED = 1e-3  # largest difference between two fits of the same element
 class LegImages:
     """The legs onto which elements carry a mechanism's legs, and how far the images differ."""
 
-    def __init__(self, mechanism: Mechanism, readings: bool) -> None:
-        self.mechanism, self.readings = mechanism, readings
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism = mechanism
         self.home = mechanism.platform.home_pose.as_matrix()[0]
         legs = nominal_legs(mechanism)
         self.shapes = [StandingLeg(leg, self.home, near_home=True) for leg in legs]
@@ -187,7 +187,7 @@ class LegImages:
 
     def deviation(self, index: int, element: Element, image: StandingLeg, tolerance: float) -> str:
         """Return the first deviation of a carried leg from its image beyond a tolerance, if any."""
-        for quantity, value, unit in deviations(self.shapes[index], element, image, self.readings):
+        for quantity, value, unit in deviations(self.shapes[index], element, image):
             if not value <= tolerance * (self.size if unit == "m" else 1.0):
                 return quantity + f", by {amount(value, unit, 4, POSES)}" * (value < np.inf)
         return ""

@@ -1,4 +1,4 @@
-"""Detection of a mechanism's symmetry group from geometry, limits, working modes and sensors.
+"""Detection of a mechanism's symmetry group from geometry, limits and working modes.
 
 The candidates are elements that carry every leg onto a leg within a tolerance. The group is their
 largest closed subset, with isometries made exact; each element is then checked again with these.
@@ -45,13 +45,11 @@ class SymmetryGroup:
     """For each element, the index of the leg onto which each leg is carried."""
     tolerance: float = 1e-6
     """Tolerance of the detection, relative to the size for lengths, [rad] for angles."""
-    readings: bool = True
-    """Whether sensors were compared too; if not, legs move alike but may read differently."""
 
     @cached_property
     def breaks(self) -> dict[str, dict[Element, str]]:
         """Other elements that leg points suggest, with a leg that differs, by the difference."""
-        fits, breaks = _leg_images(self.mechanism, self.readings), dict[str, dict[Element, str]]()
+        fits, breaks = _leg_images(self.mechanism), dict[str, dict[Element, str]]()
         for element in sorted(_meant(fits), key=place_of):
             near = min(np.abs(element.matrix - e.matrix).max() for e in self.elements) < NEARLY
             if not near and (broken := _deviation(fits, element, self.tolerance)):
@@ -83,7 +81,7 @@ class SymmetryGroup:
         """Return the subgroup of the elements with some indices, which must be closed."""
         elements = tuple(self.elements[i] for i in indices)
         permutations = tuple(self.permutations[i] for i in indices)
-        return SymmetryGroup(self.mechanism, elements, permutations, self.tolerance, self.readings)
+        return SymmetryGroup(self.mechanism, elements, permutations, self.tolerance)
 
     @property
     def leg_orbits(self) -> tuple[tuple[str, ...], ...]:
@@ -141,29 +139,28 @@ def written_within(mechanism: Mechanism) -> float:
     return max(_WITHIN, _ROUNDED * 0.5 * 10.0 ** (largest + 1 - digits))
 
 
-def symmetry_group(
-    mechanism: GivenMechanism, tolerance: float | None = None, *, readings: bool = True
-) -> SymmetryGroup:
-    """Return the symmetry group of a mechanism's nominal geometry, limits, modes and sensors.
+def symmetry_group(mechanism: GivenMechanism, tolerance: float | None = None) -> SymmetryGroup:
+    """Return the symmetry group of a mechanism's nominal geometry, limits and working modes.
+
+    Legs move alike under it, but their sensors may have other gains and offsets.
 
     Args:
         mechanism: The mechanism.
         tolerance: Largest deviation, relative to the mechanism's size for lengths, [rad] for
             angles; by default 1e-6, or more if the digits of the parameters require it.
-        readings: Whether to compare the gains, offsets and zeros of sensors too.
     """
     mechanism = as_mechanism(mechanism)
     tolerance = written_within(mechanism) if tolerance is None else tolerance
-    return _group(mechanism, number_of(tolerance, "tolerance", SymmetryError), readings)
+    return _group(mechanism, number_of(tolerance, "tolerance", SymmetryError))
 
 
 _leg_images = lru_cache(maxsize=4)(LegImages)  # its candidates serve every tolerance
 
 
 @lru_cache(maxsize=64)
-def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGroup:
+def _group(mechanism: Mechanism, tolerance: float) -> SymmetryGroup:
     """Return the symmetry group of a mechanism, cached: see ``symmetry_group``."""
-    fits = _leg_images(mechanism, readings)
+    fits = _leg_images(mechanism)
     permuted = {e: p for e in fits.candidates if (p := fits.permutation(e, tolerance))}
     elements, permutations = list(permuted), list(permuted.values())
     chosen = distinct(elements, permutations)
@@ -176,7 +173,7 @@ def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGr
         closes = len(chosen) == len(elements)
         if closes and (product_table(elements, permutations) >= 0).all():
             break
-    group = SymmetryGroup(mechanism, tuple(elements), tuple(permutations), tolerance, readings)
+    group = SymmetryGroup(mechanism, tuple(elements), tuple(permutations), tolerance)
     return group.part(sorted(chosen, key=lambda i: place_of(elements[i])))
 
 

@@ -2,8 +2,8 @@
 
 A leg closed at a pose is described by the axes of its joints and the point where it meets the
 platform, independently of the frames in which it was drawn. A carried leg equals another leg if
-that, closed at the carried pose in its working mode, has the same axes, if its joints may move as
-far from there, and if its sensors read the same.
+that, closed at the carried pose in its working mode, has the same axes, and if its joints may move
+as far from there. Gains and offsets of sensors do not count.
 """
 
 from __future__ import annotations
@@ -19,17 +19,15 @@ from scipy.spatial import distance_matrix
 
 from pincal.kinematics.batches import lengths
 from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closing import close, sensor_law
+from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
-from pincal.model import LOAD, Joint
+from pincal.model import Joint
 from pincal.model.checks import wrapped
 from pincal.symmetry.elements import Element, applied
 from pincal.types import Array
 
 Deviation: TypeAlias = tuple[str, float, str]
 """What differs, by how much (infinite if it cannot be compared), and the unit: m, rad or 1."""
-_READINGS = np.linspace(-1.0, 1.0, 7)
-"""Distances from the leg's position at which sensors are compared, [rad], or over its size."""
 
 
 class StandingLeg:
@@ -128,13 +126,8 @@ class StandingLeg:
         return ordered
 
 
-def deviations(
-    first: StandingLeg, element: Element, second: StandingLeg, readings: bool
-) -> Iterator[Deviation]:
-    """Yield what may differ between a carried leg and a leg at the carried pose.
-
-    Sensors come last, if ``readings`` is true.
-    """
+def deviations(first: StandingLeg, element: Element, second: StandingLeg) -> Iterator[Deviation]:
+    """Yield what may differ between a carried leg and a leg at the carried pose."""
     second = second.like(first, element)
     builds = zip(first.build.items(), second.build.values(), strict=True)
     unlike = [quantity for (quantity, value), of_second in builds if value != of_second]
@@ -154,8 +147,6 @@ def deviations(
     signs = np.where((directions * second.directions).sum(axis=1) >= 0.0, 1.0, -1.0)
     chords = lengths(signs[:, None] * directions - second.directions)
     yield from _turns_apart(first, element.matrix, second, signs, chords)
-    if readings:
-        yield from _readings_apart(first, second, signs[first.active])
 
 
 def _turns_apart(
@@ -199,25 +190,3 @@ def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: flo
     if second.joints[index].turns and np.isfinite(shifts).all():
         shifts = np.abs(wrapped(shifts))
     return float(shifts.max())
-
-
-def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> Iterator[Deviation]:
-    """Yield the differences of active joints' motions at equal readings."""
-    leg, image = first.closure.leg, second.closure.leg
-    homed = [[sensor.homed for sensor in of_leg.sensors] for of_leg in (leg, image)]
-    if homed[0] != homed[1] or len(leg.influences) != len(image.influences):
-        yield "zero or terms of the sensor", np.inf, "1"
-        return
-    home = sensor_law(first.closure).reading(first.positions[None, first.active])
-    scales = [1.0 if unit == "rad" else leg.size for unit in leg.reading_units]
-    readings, moved = home + np.outer(_READINGS, scales), []
-    for shape, sides in ((first, signs), (second, np.ones(len(signs)))):
-        names = shape.closure.leg.reading_names
-        loads = {f"{LOAD}_{name}": side for name, side in zip(names, sides, strict=True)}
-        influences = [loads.get(name, 1.0) for name in shape.closure.leg.influences]
-        known = np.hstack((readings, np.tile(influences, (len(readings), 1))))
-        position = sensor_law(shape.closure).position(known)
-        moved.append(sides * (position - shape.positions[shape.active]))
-    for unit, shifts in zip(leg.reading_units, (moved[0] - moved[1]).T, strict=True):
-        apart = wrapped(shifts) if unit == "rad" else shifts
-        yield "reading of the sensor", float(np.abs(apart).max()), unit

@@ -285,7 +285,7 @@ def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) ->
         not element.reflection
         and not element.base[:3, 3].any()
         and element.matrix[2, 2] > 1.0 - SAME
-        for element in symmetry_group(mechanism, readings=False).elements
+        for element in symmetry_group(mechanism).elements
     )
     if names & {"radius", "bearing"} or (turns > 1 and not names & {"x", "y"}):
         around = 2 * turns * -(-_AROUND[n] // (2 * turns))

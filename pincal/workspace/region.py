@@ -236,11 +236,11 @@ def compute_workspace(
     _check_grid(mechanism, grid)
     refuse_readings(mechanism)
     least = as_margins(least)
-    group = symmetry_group(mechanism, ROUNDING, readings=False).elements
+    group = symmetry_group(mechanism, ROUNDING).elements
     test = PositionTest(mechanism, orientations, kind != "reachable", least)
     elements, exact = usable(group, grid, test), True
     slack = min([_NEARLY, *(_CELL * axis.step for axis in grid.axes if axis.step)])
-    near = symmetry_group(mechanism, slack / mechanism.size, readings=False).elements
+    near = symmetry_group(mechanism, slack / mechanism.size).elements
     nearly = usable(near, grid, test, slack)
     if len(nearly) > len(elements):
         group, elements, exact = near, nearly, False
