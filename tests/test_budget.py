@@ -17,7 +17,7 @@ LINES = {
     "architectures": 616,
     "calibration": 6_879,
     "cli": 2_666,
-    "design": 2_539,
+    "design": 2_538,
     "estimation": 4_246,
     "files": 3_252,
     "formats": 3_669,

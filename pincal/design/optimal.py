@@ -282,14 +282,13 @@ def derivatives(rows: Parts, weights: Array, criterion: Criterion) -> tuple[Arra
     s, p = len(weights), 0 if criterion.C is None else 1
     hessian, slopes, leverage = np.zeros((s, s)), np.zeros(s), np.zeros(s)
     for part in rows:
-        root, r = _weighted_root(part, weights), part.shape[1]
-        W = part.reshape(s * r, -1) @ root
+        root, shape = _weighted_root(part, weights), part.shape
+        W = (part.reshape(-1, shape[2]) @ root).reshape(shape)
         V = W @ criterion.direction(root[None])[0] if p else W
-        K = W @ W.T
-        products = K * (V @ V.T if p else K)
-        hessian += (1 + p) * products.reshape(s, r, s, r).sum(axis=(1, 3))
-        slopes += (V * V).reshape(s, -1).sum(axis=1)
-        leverage += (W * W).reshape(s, -1).sum(axis=1)
+        products = (W.swapaxes(1, 2) @ V).reshape(s, -1)  # Σ w vᵀ over a candidate's rows
+        hessian += (1 + p) * (products @ products.T)
+        slopes += (V * V).sum(axis=(1, 2))
+        leverage += (W * W).sum(axis=(1, 2))
     return hessian - p * np.outer(slopes, slopes), slopes, leverage
 
 
