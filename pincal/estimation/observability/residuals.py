@@ -77,15 +77,13 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
 def remaining_variances(fit: Fit, follows: Array) -> Array:
     """Return the variances, (N, q), of quantities c e after a fit, in their units squared.
 
-    Each is the variance of the modelled noise and of the estimate, less twice their covariance.
+    The estimate takes its own variance from that of rows of the fit, and adds it to that of others.
     ``follows`` is c, shape (N, q, k).
     """
-    J, W = fit.last.jacobian @ fit.root, fit.last.white.by_noise
     c = product(follows, fit.last.white.back)  # by the rows
-    noise, taken = product(c, W), product(c, J)
-    gained = product(product(noise, W.transpose(0, 2, 1)), J)
-    mixed = fit.good[:, None] * (taken * gained).sum(axis=2)
-    return np.asarray((noise**2).sum(axis=2) - 2.0 * mixed + (taken**2).sum(axis=2))
+    taken = product(c, fit.last.jacobian @ fit.root)
+    sign = np.where(fit.good, -1.0, 1.0)[:, None]
+    return np.asarray((c**2).sum(axis=2) + sign * (taken**2).sum(axis=2))
 
 
 def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
