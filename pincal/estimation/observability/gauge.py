@@ -19,6 +19,7 @@ from pincal.estimation.observability.identifiable import (
     DIFFER,
     NEGLIGIBLE,
     RANK_TOLERANCE,
+    axes_of,
     identifiability,
     jacobian_near,
     lost_directions,
@@ -91,12 +92,12 @@ def split_frames(
     moved = gain @ directions
     scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * _reach(gain, directions))
     scale[scale == 0.0] = 1.0
-    s, axes = _axes(unexplained(platform.units, moved, motions, mechanism.size) / scale)
+    s, axes = axes_of(unexplained(platform.units, moved, motions, mechanism.size) / scale)
     turned = directions / scale @ axes.T
     gauge, others = turned[:, s <= NEGLIGIBLE], turned[:, s > NEGLIGIBLE]
     far = _reach(gain, gauge)
     moved = gain @ gauge / np.where(far > 0.0, far, 1.0)
-    s, axes = _axes(moved)
+    s, axes = axes_of(moved)
     flat = motions.reshape(-1, motions.shape[2])
     along = moved.reshape(len(flat), gauge.shape[1]) @ axes[s > _STILL].T
     return gauge, others, np.asarray(np.linalg.lstsq(flat, along, rcond=None)[0])
@@ -105,14 +106,6 @@ def split_frames(
 def _reach(gain: Array, directions: Array) -> Array:
     """Return the platform's motion by directions if parameters did not compensate, shape (k,)."""
     return np.linalg.norm(np.abs(gain) @ np.abs(directions), axis=(0, 1))
-
-
-def _axes(columns: Array) -> tuple[Array, Array]:
-    """Return singular values of columns (N, dof, k) over all poses, and axes as rows (k, k)."""
-    n, dof, k = columns.shape
-    flat = np.linalg.qr(columns.reshape(n * dof, k), mode="r")  # the same values and axes, quicker
-    _, values, axes = np.linalg.svd(flat, full_matrices=True)
-    return np.concatenate((values, np.zeros(k - len(values)))), axes
 
 
 _TARGETS = 1e-6  # weight of targets' changes, beside parameters', in the distance from nominal

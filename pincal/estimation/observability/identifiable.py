@@ -79,15 +79,18 @@ def r_diagonal(C: Array) -> Array:
 
 
 def scaled_axes(J: Array) -> tuple[Array, Array, Array]:
-    """Return the lengths of J's columns, and singular values and right axes of J with unit columns.
-
-    Shapes are (n,), (min(m, n),) and (n, n), axes as rows; a column of zeros has length 1.
-    """
+    """Return the lengths of J's columns, (n,), 1 for zeros, and ``axes_of`` J with unit columns."""
     lengths = np.linalg.norm(J, axis=0)
     lengths[lengths == 0.0] = 1.0
-    triangle = np.linalg.qr(J / lengths, mode="r")
+    return lengths, *axes_of(J / lengths)
+
+
+def axes_of(J: Array) -> tuple[Array, Array]:
+    """Return singular values, (n,), and right axes as rows, (n, n), of rows J, shape (…, n)."""
+    flat = J.reshape(int(np.prod(J.shape[:-1])), J.shape[-1])
+    triangle = np.linalg.qr(flat, mode="r")  # the same values and axes, quicker
     _, s, axes = svd(triangle, lapack_driver="gesvd")  # divide and conquer may not converge
-    return lengths, s, axes
+    return np.pad(s, (0, len(axes) - len(s))), axes
 
 
 @dataclass(frozen=True)
