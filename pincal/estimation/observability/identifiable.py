@@ -78,11 +78,21 @@ def r_diagonal(C: Array) -> Array:
     return np.pad(entries, (0, C.shape[1] - len(entries)))
 
 
-def scaled_axes(J: Array) -> tuple[Array, Array, Array]:
-    """Return the lengths of J's columns, (n,), 1 for zeros, and ``axes_of`` J with unit columns."""
+def unit_columns(J: Array) -> tuple[Array, Array]:
+    """Return the lengths of J's columns, shape (n,), and J with columns of unit length.
+
+    A column that is rounding beside the longest one is zero, and counts as of length 1.
+    """
     lengths = np.linalg.norm(J, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    return lengths, *axes_of(J / lengths)
+    nonzero = lengths > ROUNDING * lengths.max(initial=0.0)
+    lengths = np.where(nonzero, lengths, 1.0)
+    return lengths, np.where(nonzero, J / lengths, 0.0)
+
+
+def scaled_axes(J: Array) -> tuple[Array, Array, Array]:
+    """Return the lengths of J's columns, (n,), and ``axes_of`` J with columns of unit length."""
+    lengths, unit = unit_columns(J)
+    return lengths, *axes_of(unit)
 
 
 def axes_of(J: Array) -> tuple[Array, Array]:
@@ -125,9 +135,7 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
         return Identifiability(0, 0, 1.0, ())
     if not len(C):
         return Identifiability(0, n, np.inf, tuple((name,) for name in names))
-    lengths = np.linalg.norm(C, axis=0)
-    nonzero = lengths > ROUNDING * lengths.max()
-    scaled = np.where(nonzero, C / np.where(nonzero, lengths, 1.0), 0.0)
+    _, scaled = unit_columns(C)
     s = np.linalg.svd(scaled, compute_uv=False)
     rank = int((s > RANK_TOLERANCE * s[0]).sum()) if s[0] > 0.0 else 0
     if rank == n:
@@ -194,9 +202,12 @@ def lost_directions(J: Array) -> tuple[Array, Array]:
 
     Directions are rows v, shape (n_lost, n), for columns of unit length: unknowns may move along
     v / lengths. The smallest changes, each weighted by its column's length, satisfy
-    (v · lengths) · z = 0.
+    (v · lengths) · z = 0. A column that is rounding counts: the machine may differ from drawings
+    by which it is zero, and then shows it.
     """
-    lengths, s, axes = scaled_axes(J)
+    lengths = np.linalg.norm(J, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    s, axes = axes_of(J / lengths)
     return axes[int((s > RANK_TOLERANCE * s[0]).sum()) :], lengths
 
 
