@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 262,
     "architectures": 616,
-    "calibration": 6_879,
+    "calibration": 6_757,
     "cli": 2_666,
     "design": 2_538,
-    "estimation": 4_251,
+    "estimation": 4_394,
     "files": 3_252,
     "formats": 3_669,
     "instruments": 1_548,
@@ -31,7 +31,7 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 173,
+    "files": 174,
     "page lines": 887,
     "largest folder": 16,
     "vague names": 0.01,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri, fdtrc
+from scipy.special import chdtri
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO
@@ -16,28 +16,19 @@ from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import ObservabilityError
 from pincal.estimation import components
 from pincal.estimation.fit import Fit, robust_fit
+from pincal.estimation.holding import checked, fit_holding, fit_strictly
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
-from pincal.estimation.observability.identifiable import (
-    DIFFER,
-    HeldUnknowns,
-    hold_unobservable,
-    plausible_changes,
-)
+from pincal.estimation.observability.identifiable import DIFFER, HeldUnknowns
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.system import System
 from pincal.estimation.unknowns import External, State
-from pincal.model import Leg, Mechanism, Noise
+from pincal.model import Leg, Noise
 from pincal.model.checks import ALIKE
 from pincal.types import Array, Index, Mask
-from pincal.words.findings import WORDINGS, finding
-from pincal.words.wording import filled
+from pincal.words.findings import finding
 
 ROUNDS = 20  # largest number of alternations of fits with the noise, or with frames
-_HELD_MOST = 100.0  # how far machines differ over the standard error: such directions are free
-_CONTRADICTED = 1e-4  # p-value below which rows contradict that directions are as drawn
-_PATIENCE = 75  # steps after which a search may be running away; twice as many if near
-_GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
 _REFITS = 5  # largest number of fits with estimated noise
 SETTLED = 1e-3  # relative change of an estimated standard deviation that is negligible
 
@@ -228,9 +219,9 @@ def _all_legs(
     counts, rejects, progress = calibration.counts, options.rejects, options.progress
     system = System(problem, free, counts, known, rejects, patience, progress=progress)
     if options.strict:
-        fit, held = _fit_all(calibration, system, start), None
+        fit, held = fit_strictly(mechanism, system, start), None
     else:
-        fit, held = _fit_holding(calibration, system, start, former)
+        fit, held = fit_holding(mechanism, system, start, former.held if former else None)
     if former:  # its search began where this one would have begun
         fit = replace(fit, first=former.fits[0].first)
     return Fits(calibration, [fit], gauge, held)
@@ -269,119 +260,6 @@ def _by_id(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, fl
     return dict(zip(ids, nominal if parameters is None else parameters, strict=True))
 
 
-def _fit_all(calibration: Calibration, system: System, start: Linear | None) -> Fit:
-    """Return a fit in which no direction is held, even if it is weakly determined.
-
-    Raises:
-        ObservabilityError: a direction is unobservable even without noise, or parameters are
-            arbitrary (see ``_checked``).
-    """
-    linear = start or system.problem.evaluate(system.problem.start(system.unknowns.start))
-    lost = hold_unobservable(calibration.mechanism, system, linear, None, 0).groups
-    if lost:
-        raise _undetermined(lost, (), "--strict")
-    fit = robust_fit(system, linear, near=bool(start))
-    return _checked(calibration.mechanism, fit, "--strict")
-
-
-def _checked(mechanism: Mechanism, fit: Fit, option: str) -> Fit:
-    """Return the fit; raise if its search ran away, or if its parameters are arbitrary.
-
-    A search ran away where noise moves parameters farther than machines differ from their drawing.
-    Parameters are arbitrary if they moved so far, and two standard errors are longer than the
-    machine, or more than a radian: no linear covariance holds that far.
-    """
-    legs = fit.problem.legs
-    limit = plausible_changes(mechanism, legs)
-    std = np.sqrt(np.diagonal(fit.covariance))[: len(limit)]
-    moved = np.abs(fit.parameters - np.concatenate([leg.nominal for leg in legs])) > limit
-    arbitrary = moved & (2.0 * std > limit / DIFFER) if fit.converged else std > limit
-    misfits = fit.system.known and fit.chi2 > _GOOD * max(fit.degrees_of_freedom, 1)
-    if misfits or not arbitrary.any():
-        return fit
-    ids = np.array([id_ for leg in legs for id_ in leg.parameter_ids])
-    raise _undetermined((), ids[std > limit].tolist(), option)
-
-
-def _undetermined(
-    groups: Sequence[Sequence[str]], weak: Sequence[str], option: str
-) -> ObservabilityError:
-    held = finding("undetermined-held", groups=groups, weak=weak)
-    return ObservabilityError(
-        f"{filled(WORDINGS[held.code].says, held)}. Measure poses that separate them (that differ "
-        "in orientation above all), fix one of them, say how well nominal values are known "
-        f"(--priors), or hold them (leave out {option})"
-    )
-
-
-def _fit_holding(
-    calibration: Calibration, system: System, start: Linear | None, former: Fits | None
-) -> tuple[Fit, HeldUnknowns]:
-    """Return a fit with weak directions held, one more each time until it converges; and these."""
-    held = held_before = former.held if former else None
-    fewest, problem, near = held.fewest if held else 0, system.problem, start is not None
-    mechanism = calibration.mechanism
-    nominal = held.nominal if held else problem.evaluate(problem.start(system.unknowns.start))
-    nominal = replace(nominal, problem=problem)
-    begin, farthest = start or nominal, plausible_changes(mechanism, problem.legs)
-    bounds = nominal.state.parameters + np.outer((-1.0, 1.0), farthest)
-    while True:
-        held = hold_unobservable(mechanism, system, nominal, held, fewest)
-        if start and not former:  # held directions start at nominal
-            n = len(start.state.parameters)
-            T, values = held.unknowns.map[:n], held.unknowns.start[:n]
-            z = np.linalg.lstsq(T, start.state.parameters - values, rcond=None)[0]
-            begin = problem.evaluate(replace(start.state, parameters=values + T @ z))
-        elif held_before and held.directions.shape[1] > held_before.directions.shape[1]:
-            begin, near = nominal, False  # where the additional directions are at nominal
-        may_hold_more = held.weakest < _HELD_MOST
-        holding = replace(system, unknowns=held.unknowns)
-        try:
-            if may_hold_more:
-                fit = _fit_unless_astray(holding, begin, bounds, near=near)
-            else:
-                fit = robust_fit(holding, begin, near=near)
-            if fit.converged or not may_hold_more:
-                return _fit_of_its_axes(mechanism, system, fit, held)
-        except ObservabilityError:
-            if not may_hold_more:
-                raise
-        fewest = held.observable.n_free - held.unknowns.n_free + 1
-
-
-def _fit_of_its_axes(
-    mechanism: Mechanism, system: System, fit: Fit, held: HeldUnknowns
-) -> tuple[Fit, HeldUnknowns]:
-    """Return a fit with fewer directions held, if the rows contradict the others; and what is held.
-
-    Axes that are parallel as drawn leave directions open that the machine's axes determine.
-    """
-    if not (fit.converged and held.groups):
-        return fit, held
-    unknowns, state = system.unknowns, fit.last.state
-    values = np.concatenate((state.parameters, unknowns.start[len(state.parameters) :]))
-    problem = replace(system.problem, first=state)
-    ended = replace(system, problem=problem, unknowns=replace(unknowns, start=values))
-    fewer = hold_unobservable(mechanism, ended, fit.last, None, held.fewest)
-    if (count := fewer.unknowns.n_free - held.unknowns.n_free) <= 0:
-        return fit, held
-    freed = replace(system, unknowns=fewer.unknowns, max_steps=_PATIENCE)
-    refit = robust_fit(freed, fit.last, near=True)
-    freedoms, least = max(refit.degrees_of_freedom, 1), float(np.finfo(float).tiny)
-    gain = max(fit.chi2 - refit.chi2, 0.0) / max(refit.chi2, least) * freedoms / count
-    contradicted = fdtrc(count, freedoms, gain) < _CONTRADICTED
-    return (refit, fewer) if refit.converged and contradicted else (fit, held)
-
-
-def _fit_unless_astray(system: System, begin: Linear, bounds: Array, *, near: bool) -> Fit:
-    """Return a fit; unfinished if its search soon leaves the parameters' bounds, (2, n_params)."""
-    patience = _PATIENCE * (1 + near)
-    fit = robust_fit(replace(system, max_steps=patience), begin, near=near)
-    if fit.converged or (fit.parameters < bounds[0]).any() or (fit.parameters > bounds[1]).any():
-        return fit
-    return robust_fit(system, fit.last, near=near)
-
-
 def _legs_alone(calibration: Calibration) -> Fits:
     """Return the fits of each leg alone, at poses as measured, from nominal values."""
     mechanism, options = calibration.mechanism, calibration.options
@@ -396,7 +274,7 @@ def _legs_alone(calibration: Calibration) -> Fits:
         known, progress = calibration.noise.known, options.progress
         system = System(problem, free, counts, known, options.rejects, progress=progress)
         begin = problem.evaluate(problem.start(free.start))
-        fits.append(_checked(mechanism, robust_fit(system, begin), "--method per-leg"))
+        fits.append(checked(mechanism, robust_fit(system, begin), "--method per-leg"))
     return Fits(calibration, fits)
 
 
