@@ -11,7 +11,7 @@ from arms import loaded
 from command_line import done, run
 from differences import differentiated
 from marks import quick
-from measured import seen_from_elsewhere, workspace
+from measured import put, seen_from_elsewhere, workspace
 
 import pincal
 from pincal.estimation.observability.identifiable import plausible_changes
@@ -280,3 +280,15 @@ def test_a_parameter_without_effect_spoils_no_other() -> None:
         pincal.forecast(arm, rows, NOISE, ["x", "y", "z"], setup).std for rows in (plan, turned)
     ]
     np.testing.assert_allclose(*stds, rtol=1e-6, atol=1e-12)
+
+
+def test_an_arm_is_as_certain_as_forecast() -> None:
+    """Positions in an unknown frame: the same parameters have intervals, of the same size."""
+    arm, setup = loaded("ur5"), pincal.Setup().anywhere(frame=True)
+    plan = pincal.sample_configurations(arm, 30, 1)
+    data = pincal.simulate(arm, arm, plan, NOISE, 1, setup).measurements
+    seen = put(data, "poses", np.s_[:, 3:], np.nan)
+    result = pincal.calibrate(arm, seen, noise=NOISE, setup=setup)
+    std = [parameter.std for parameter in result.legs[0].parameters]
+    expected = pincal.forecast(arm, plan, NOISE, ["x", "y", "z"], setup).std
+    np.testing.assert_allclose(std, expected, rtol=0.01, atol=1e-12)

@@ -202,12 +202,9 @@ def lost_directions(J: Array) -> tuple[Array, Array]:
 
     Directions are rows v, shape (n_lost, n), for columns of unit length: unknowns may move along
     v / lengths. The smallest changes, each weighted by its column's length, satisfy
-    (v · lengths) · z = 0. A column that is rounding counts: the machine may differ from drawings
-    by which it is zero, and then shows it.
+    (v · lengths) · z = 0.
     """
-    lengths = np.linalg.norm(J, axis=0)
-    lengths[lengths == 0.0] = 1.0
-    s, axes = axes_of(J / lengths)
+    lengths, s, axes = scaled_axes(J)
     return axes[int((s > RANK_TOLERANCE * s[0]).sum()) :], lengths
 
 
