@@ -296,7 +296,7 @@ def test_symmetric_selection_needs_the_symmetry(
     """A mechanism without the symmetry raises and names what breaks it."""
     broken = mechanism.with_parameters({"leg_2": {"l": mechanism.legs[1].nominal[0] * 1.01}})
     poses = candidates[mechanism.name][:100]
-    with pytest.raises(pincal.SymmetryError, match=r"leg_.* carried there in parameter 'l'"):
+    with pytest.raises(pincal.SymmetryError, match=r"leg_.* carried there in position of 'elbow'"):
         pincal.select_poses(broken, poses, 12, "symmetric")
     assert len(pincal.select_poses(broken, poses, 12, "independent").plan.poses)
 
