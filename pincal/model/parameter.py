@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -97,20 +98,15 @@ class Parameters(tuple[Parameter, ...]):
         return "\n".join(line.rstrip() for line in lines)
 
 
-def labels_of(labels: object, name: str) -> tuple[tuple[str, str], ...]:
+def labels_of(labels: Any, name: str) -> tuple[tuple[str, str], ...]:
     """Return a mechanism's labels of parameters as pairs of key and text, checked."""
-    context = f"mechanism {name!r}: labels"
-    try:
-        texts: dict[object, object] = dict(labels)  # type: ignore[call-overload]
-    except (TypeError, ValueError) as error:
+    pairs = tuple(labels.items()) if isinstance(labels, Mapping) else labels
+    for pair in pairs if isinstance(pairs, tuple) else (pairs,):
+        match pair:
+            case (str(), str(text)) if text.isprintable() and 0 < len(text) <= LONGEST_LABEL:
+                continue
         raise MechanismError(
-            f"{context} are {str(labels)[:80]}; expected texts by name or id of a parameter, such "
-            "as {'l': 'crank'}"
-        ) from error
-    for key, text in texts.items():
-        if not (isinstance(text, str) and text.isprintable() and 0 < len(text) <= LONGEST_LABEL):
-            raise MechanismError(
-                f"{context}: the label of {str(key)[:80]!r} is {str(text)[:80]!r}; expected a few "
-                f"words, at most {LONGEST_LABEL} characters"
-            )
-    return tuple((str(key), str(text)) for key, text in texts.items())
+            f"mechanism {name!r}: one of its labels is {ascii(pair)[:80]}; expected a few words, "
+            f"at most {LONGEST_LABEL} characters, by name or id of a parameter: {{'l': 'crank'}}"
+        )
+    return pairs

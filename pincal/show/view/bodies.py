@@ -240,9 +240,7 @@ def _pistons(
         inside = 0.0 if cable else 0.5 * joint.home
         drawn = strokes - inside * ((strokes - inside) * inside > 0.0)
         drawn = np.where(np.abs(drawn) > 1e-9, drawn, np.nan)
-        _, _, (_, across, normal) = np.linalg.svd([axis])
-        T_slider_rod = np.tile(np.eye(4), (len(strokes), 1, 1))
-        T_slider_rod[:, :3, :3] = np.stack((across, normal, axis), axis=1)
+        T_slider_rod = np.tile(_placed(_ORIGIN, axis), (len(strokes), 1, 1))
         T_slider_rod[:, :3, 2] *= -drawn[:, None]
         thin = Shape("cylinder", ((0.16 if cable else 0.4) * radius, 1.0), _UPWARD, PISTON)
         yield f"rod {place + 1}", thin, links[:, place] @ T_slider_rod
