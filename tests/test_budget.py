@@ -18,7 +18,7 @@ LINES = {
     "calibration": 6_757,
     "cli": 2_666,
     "design": 2_538,
-    "estimation": 4_391,
+    "estimation": 4_387,
     "files": 3_252,
     "formats": 3_669,
     "instruments": 1_548,

@@ -130,16 +130,12 @@ class Identifiability:
 
 def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
     """Return rank and undetermined combinations of an identification Jacobian, shape (m, n)."""
-    n = C.shape[1]
-    if not n:
-        return Identifiability(0, 0, 1.0, ())
-    if not len(C):
-        return Identifiability(0, n, np.inf, tuple((name,) for name in names))
-    _, scaled = unit_columns(C)
+    n, (_, scaled) = C.shape[1], unit_columns(C)
     s = np.linalg.svd(scaled, compute_uv=False)
-    rank = int((s > RANK_TOLERANCE * s[0]).sum()) if s[0] > 0.0 else 0
+    rank = int((s > RANK_TOLERANCE * s.max(initial=0.0)).sum())
+    condition = float(s[0] / s[rank - 1]) if rank else np.inf if n else 1.0
     if rank == n:
-        return Identifiability(rank, n, float(s[0] / s[-1]), ())
+        return Identifiability(rank, n, condition, ())
     _, R, order = qr(scaled, mode="economic", pivoting=True)
     pivots, lost = order[:rank], order[rank:]
     weights = np.linalg.solve(R[:rank, :rank], R[:rank, rank:])  # lost columns from the kept
@@ -149,7 +145,7 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
     ]
     members.sort(key=lambda group: (len(group), group))  # the order of pivots depends on rounding
     groups = tuple(tuple(names[i] for i in group) for group in members)
-    return Identifiability(rank, n, float(s[0] / s[rank - 1]) if rank else np.inf, groups)
+    return Identifiability(rank, n, condition, groups)
 
 
 GENERIC = 200  # least number of generic configurations
