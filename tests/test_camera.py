@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from command_line import done
 from differences import assert_derivative
-from marks import slow_or_fuzz
+from marks import quick, slow_or_fuzz
 from measured import platform_accuracy
 from scipy.spatial.transform import Rotation
 
@@ -398,7 +398,7 @@ def test_what_is_not_seen_has_no_noise() -> None:
     assert result.noise.pixel == pytest.approx(0.1, rel=0.2)
 
 
-@pytest.mark.parametrize("stretch", [1.0, 1.003])
+@pytest.mark.parametrize("stretch", quick(1, [1.0, 1.003]))
 def test_a_print_that_is_longer_along_y_is_no_fault_of_the_camera(stretch: float) -> None:
     """What a printer stretched along y is identified; taken as square it spoils the fit."""
     true = _camera()

@@ -237,11 +237,12 @@ def test_arguments_without_meaning_have_a_reason(name: str, tmp_path: Path) -> N
     sensors = (replace(leg.sensors[0], terms=(bent,)), *leg.sensors[1:])
     leg = replace(leg, sensors=sensors, parameters=(*leg.parameters, ("bend", 1e-6)))
     machine = replace(machine, legs=(leg, *machine.legs[1:]))
-    files = [in_python(Deployed(machine))]
+    deployed = Deployed(machine)
+    files = [in_python(deployed)]
     if shutil.which("cc"):
-        files.append(in_c(Deployed(machine), tmp_path))
+        files.append(in_c(deployed, tmp_path))
     for inverse, forward in files:
-        readings = np.array(Deployed(machine).tables["home_readings"])
+        readings = np.array(deployed.tables["home_readings"])
         T, near, found = forward(readings, None)
         assert found
         assert inverse(np.array(T), None, near)[2]
