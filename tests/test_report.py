@@ -344,7 +344,7 @@ def test_names_are_text() -> None:
         result,
         findings=(finding("model-lacks", quantity=EVIL, term="order", p_value=1e-9),),
         gauge=(finding("redundant-parameters", count=1, groups=((EVIL, "k"),)),),
-        outliers=(Outlier(3, (names[0],), 9.0, 1.0, EVIL, 9.0),),
+        outliers=(Outlier(3, 9.0, 1.0, EVIL, 9.0),),
     )
     report = result.report(command=EVIL)
     report.notes = [EVIL + "\0"]
