@@ -141,7 +141,7 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
     problem, unknowns = system.problem, system.unknowns
     first = solve_poses(begin)
     check_rank(problem, unknowns, first)
-    start = first if near else _easier_start(system, begin, first)
+    start = first if near else _easier_start(system, first)
     solution = optimum(system, start, system.cost(first), near=near)
     if system.known:  # at the start of a search a pose may be too near to a singularity
         check_information(problem, unknowns, (first, solution.last))
@@ -165,8 +165,8 @@ _EASY_NEAR = 0.1  # distance from the easier problem's optimum, in σ, at which 
 _EASY_STEPS = 25
 
 
-def _easier_start(system: System, begin: Linear, first: Linear) -> Linear:
-    """Return where the search begins; ``first`` is the start with its poses solved.
+def _easier_start(system: System, first: Linear) -> Linear:
+    """Return where the search begins, from the conditions at the first parameters, poses solved.
 
     It is near the optimum of an easier problem if that is better than the start: the evened problem
     by least squares without gross errors, since Cauchy's loss is not convex far from its optimum.
@@ -176,7 +176,7 @@ def _easier_start(system: System, begin: Linear, first: Linear) -> Linear:
     easier = _evened(problem, first) or (problem if system.robust or not sound.all() else None)
     if easier is None:
         return first
-    easier_begin = solve_poses(replace(begin, problem=easier))
+    easier_begin = solve_poses(replace(first, problem=easier))
     easy = replace(system, problem=easier, kept=system.kept & sound, robust=False)
     end = search(replace(easy, max_steps=_EASY_STEPS), easier_begin, enough=_EASY_NEAR)
     try:
@@ -248,7 +248,7 @@ def _fit_rejecting(system: System, begin: Linear, *, near: bool) -> tuple[Fit, f
     linear = first = solve_poses(begin)
     if not near:
         check_rank(problem, system.unknowns, first)
-        linear = search(system, _easier_start(system, begin, first)).last
+        linear = search(system, _easier_start(system, first)).last
     scale = system.scale(linear.squares)
     # Rows whose pose was not found, or whose noise moves the machine by a large part of its size,
     # have meaningless derivatives, and no loss bounds their influence.
