@@ -226,7 +226,7 @@ def test_refits_at_other_noise_stay_near(
     """The default fit of the left arm evaluates its conditions 400 times at most, not 970 times.
 
     Directions that noise barely determines are curved valleys. A search without adjusted readings,
-    begun where one with them had ended, led up and away. It takes 338.
+    begun where one with them had ended, led up and away. It takes 334.
     """
     counted, evaluate = [], Problem.evaluate
 
