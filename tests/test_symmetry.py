@@ -104,7 +104,7 @@ def test_a_disturbed_parameter_breaks_the_group(mechanism: pincal.Mechanism, nam
     for element in pincal.symmetry_group(mechanism).elements[1:]:
         reason = next(text for e, text in broken.items() if e.equals(element))
         assert reason.startswith("position of ")
-    with pytest.raises(pincal.SymmetryError, match=r"carries leg 1 onto leg_2 \((rotation|mirror)"):
+    with pytest.raises(pincal.SymmetryError, match=r"carries leg_1 onto leg_2 \((rotation|mirror)"):
         group.carriers()
 
 

@@ -312,7 +312,7 @@ def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
         yield [first]
         explained = []
         for fault, judged in plausibility.hypotheses_of(in_setup):
-            data = judged.hypothesis.right(calibration.measurements)
+            data = judged.hypothesis.correct(calibration.measurements)
             judged_setup = known.anywhere(frame=judged.free)
             mended = replace(in_setup, measurements=data).with_options(setup=judged_setup)
             explained.append(_attempt((fault,), mended))

@@ -28,7 +28,7 @@ from pincal.model.checks import ALIKE
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import finding
 
-ROUNDS = 20  # largest number of alternations of fits with the noise, or with frames
+ROUNDS = 20  # largest number of alternations of fits with the noise, or with tolerances
 _REFITS = 5  # largest number of fits with estimated noise
 SETTLED = 1e-3  # relative change of an estimated standard deviation that is negligible
 
@@ -116,7 +116,7 @@ def fitted(
 
     The search of all legs at once begins at the fits ``near``. If they have more rows or fewer
     terms, the mask ``rows``, shape (N,), selects their rows that are fitted here. ``patience`` is
-    the largest number of steps, by default the usual one.
+    the largest number of steps of a search in which no direction may be held any more.
     """
     latent = calibration.options.latent
     fits = _all_legs(calibration, near, rows, patience) if latent else _legs_alone(calibration)

@@ -47,7 +47,11 @@ def checked(mechanism: Mechanism, fit: Fit, option: str) -> Fit:
 
     A search ran away where noise moves parameters farther than machines differ from their drawing.
     Parameters are arbitrary if they moved so far, and two standard errors are longer than the
-    machine, or more than a radian: no linear covariance holds that far.
+    machine, or more than a radian: no linear covariance holds that far. A fit
+    that contradicts a known noise is returned: its rows are wrong, not too few.
+
+    Raises:
+        ObservabilityError: see above; without ``option`` parameters would be held.
     """
     legs = fit.problem.legs
     limit = plausible_changes(mechanism, legs)

@@ -1,6 +1,6 @@
 """Detection of a mechanism's symmetry group from geometry, limits and working modes.
 
-The candidates are elements that carry every leg onto a leg within a tolerance. The group is their
+Candidates carry every leg near a leg, the group's elements within a tolerance. The group is their
 largest closed subset, with isometries made exact; each element is then checked again with these.
 For every other element that leg points suggest, a deviation that breaks it is named.
 """
@@ -49,10 +49,10 @@ class SymmetryGroup:
     @cached_property
     def breaks(self) -> dict[str, dict[Element, str]]:
         """Other elements that leg points suggest, with a leg that differs, by the difference."""
-        fits, breaks = _leg_images(self.mechanism), dict[str, dict[Element, str]]()
-        for element in sorted(_meant(fits), key=place_of):
+        images, breaks = _leg_images(self.mechanism), dict[str, dict[Element, str]]()
+        for element in sorted(_meant(images), key=place_of):
             near = min(np.abs(element.matrix - e.matrix).max() for e in self.elements) < NEARLY
-            if not near and (broken := _deviation(fits, element, self.tolerance)):
+            if not near and (broken := _deviation(images, element, self.tolerance)):
                 leg, difference = broken
                 breaks.setdefault(difference, {})[element] = leg
         return breaks
@@ -93,10 +93,11 @@ class SymmetryGroup:
     def carriers(self, leg: str | None = None) -> tuple[Element, ...]:
         """Return G_C, an element that carries one leg onto each leg (3-RRR paper, Eq. 7).
 
-        Leg 1 must be carried onto every leg; another leg only onto the legs of its orbit.
+        By default the first leg must be carried onto every leg; a leg that is named is carried onto
+        the legs of its orbit.
 
         Raises:
-            SymmetryError: no element carries leg 1 onto some leg.
+            SymmetryError: no leg is named, and no element carries the first one onto some leg.
         """
         names = self.mechanism.leg_names
         first = names.index(leg) if leg is not None else 0
@@ -107,7 +108,7 @@ class SymmetryGroup:
             missed = next(name for index, name in enumerate(names) if index not in carriers)
             broken = "; ".join(self.reasons)
             raise SymmetryError(
-                f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {missed}"
+                f"no symmetry of {self.mechanism.name!r} carries {names[0]} onto {missed}"
                 f"{broken and f' ({broken})'}. "
                 "Choose poses for each leg separately (--protocol independent)"
             )
@@ -129,7 +130,7 @@ _WITHIN, _WRITTEN, _ROUNDED = 1e-6, range(5, 9), 4.0  # tolerance; digits; toler
 def written_within(mechanism: Mechanism) -> float:
     """Return the tolerance that allows for the rounding of parameters with 5 to 8 digits.
 
-    It is four rounding errors, [m] or [rad], at least 1e-6. Fewer digits count as exact numbers.
+    It is four rounding errors of the largest number, at least 1e-6; fewer digits count as exact.
     """
     values = [Decimal(repr(v)).normalize() for leg in mechanism.legs for v in leg.nominal.tolist()]
     digits = max((len(v.as_tuple().digits) for v in values if v), default=0)
@@ -160,16 +161,18 @@ _leg_images = lru_cache(maxsize=4)(LegImages)  # its candidates serve every tole
 @lru_cache(maxsize=64)
 def _group(mechanism: Mechanism, tolerance: float) -> SymmetryGroup:
     """Return the symmetry group of a mechanism, cached: see ``symmetry_group``."""
-    fits = _leg_images(mechanism)
-    permuted = {e: p for e in fits.candidates if (p := fits.permutation(e, tolerance))}
+    images = _leg_images(mechanism)
+    permuted = {e: p for e in images.candidates if (p := images.permutation(e, tolerance))}
     elements, permutations = list(permuted), list(permuted.values())
     chosen = distinct(elements, permutations)
     while True:
         elements, permutations = [elements[i] for i in chosen], [permutations[i] for i in chosen]
         closed = largest_closed(product_table(elements, permutations))
-        elements = exact([elements[i] for i in closed], fits.centres, fits.size)
-        permutations = [fits.permutation(element, tolerance) for element in elements]
-        chosen = [i for i, permutation in enumerate(permutations) if permutation]  # the identity
+        elements = exact([elements[i] for i in closed], images.centres, images.size)
+        permutations = [images.permutation(element, tolerance) for element in elements]
+        chosen = [
+            i for i, permutation in enumerate(permutations) if permutation
+        ]  # at least the identity
         closes = len(chosen) == len(elements)
         if closes and (product_table(elements, permutations) >= 0).all():
             break
@@ -177,31 +180,31 @@ def _group(mechanism: Mechanism, tolerance: float) -> SymmetryGroup:
     return group.part(sorted(chosen, key=lambda i: place_of(elements[i])))
 
 
-def _meant(fits: LegImages) -> list[Element]:
+def _meant(images: LegImages) -> list[Element]:
     """Return elements that leg points suggest, with exact isometries; none turns home over.
 
     Elements about the base's z axis are preferred: a fit spreads one leg's error.
     """
-    elements = fits.candidates
-    labels = [tuple(linear_sum_assignment(fits.distances(e))[1].tolist()) for e in elements]
+    elements = images.candidates
+    labels = [tuple(linear_sum_assignment(images.distances(e))[1].tolist()) for e in elements]
     closed = [elements[i] for i in largest_closed(product_table(elements, labels))]
-    fitted, drawn = exact(closed, fits.centres, fits.size), list[Element]()
+    fitted, drawn = exact(closed, images.centres, images.size), list[Element]()
     for Q in (element.matrix for element in fitted):
         flat = Element(float(np.arctan2(Q[1, 0], Q[0, 0])), bool(np.linalg.det(Q[:2, :2]) < 0.0))
         turn = isometry(flat.matrix @ np.diag([1.0, 1.0, np.sign(Q[2, 2])]))
         drawn.append(Element.of(turn, turn))
-    near = all(fits.distances(element).min(axis=1).max() < NEARLY for element in drawn)
-    meant, space = drawn if near else fitted, fits.mechanism.platform.space
-    over = (space == 3 and e.matrix[2, 2] < 0.0 and fits.home_moves(e) > NEARLY for e in meant)
+    near = all(images.distances(element).min(axis=1).max() < NEARLY for element in drawn)
+    meant, space = drawn if near else fitted, images.mechanism.platform.space
+    over = (space == 3 and e.matrix[2, 2] < 0.0 and images.home_moves(e) > NEARLY for e in meant)
     return [element for element, upside_down in zip(meant, over, strict=True) if not upside_down]
 
 
-def _deviation(fits: LegImages, element: Element, tolerance: float) -> tuple[str, str] | None:
+def _deviation(images: LegImages, element: Element, tolerance: float) -> tuple[str, str] | None:
     """Return a leg that differs from what an element carries there, and in what, by how much."""
-    standing = fits.standing(element)
-    for index, distances in enumerate(fits.distances(element)):
+    standing = images.standing(element)
+    for index, distances in enumerate(images.distances(element)):
         near = np.flatnonzero(distances <= distances.min() + ALIKE).tolist()
-        broken = [fits.deviation(index, element, standing[i], tolerance) for i in near]
+        broken = [images.deviation(index, element, standing[i], tolerance) for i in near]
         if all(broken):
-            return fits.mechanism.leg_names[near[0]], broken[0]
+            return images.mechanism.leg_names[near[0]], broken[0]
     return None

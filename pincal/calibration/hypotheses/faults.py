@@ -161,14 +161,14 @@ def scale(case: Case, nominal: Array) -> Hypothesis:
 def _posed(platform: Platform, move: Callable[[Array, Array], tuple[Array, Array]]) -> Right:
     """Return a correction that moves measured positions (N, 3) and orientations (N, 3, 3)."""
 
-    def right(data: Measurements) -> Measurements:
+    def correct(data: Measurements) -> Measurements:
         measured = np.isfinite(data.poses)
         matrices = platform.matrices(np.where(measured, data.poses, platform.home)).copy()
         r, R = move(matrices[:, :3, 3], matrices[:, :3, :3])
         matrices[:, :3, 3], matrices[:, :3, :3] = r, R
         return replace(data, poses=np.where(measured, platform.from_matrices(matrices), np.nan))
 
-    return right
+    return correct
 
 
 def _reflected(r: Array, R: Array, Q: Array, U: Array) -> tuple[Array, Array]:
@@ -194,13 +194,13 @@ def _ordered(order: Sequence[int]) -> Right:
 def of_legs(hypothesis: Hypothesis, mechanism: Mechanism, legs: Sequence[int]) -> Hypothesis:
     """Return a hypothesis restricted to the readings of some legs."""
 
-    def right(data: Measurements) -> Measurements:
-        changed, readings = hypothesis.right(data), data.readings.copy()
+    def correct(data: Measurements) -> Measurements:
+        changed, readings = hypothesis.correct(data), data.readings.copy()
         for columns in (mechanism.reading_columns[i] for i in legs):
             readings[:, columns] = changed.readings[:, columns]
         return replace(changed, readings=readings)
 
-    return replace(hypothesis, right=right, legs=tuple(legs))
+    return replace(hypothesis, correct=correct, legs=tuple(legs))
 
 
 def _swapped(count: int, i: int, j: int) -> list[int]:
@@ -251,8 +251,10 @@ def _exchanged(case: Case) -> Iterator[Hypothesis]:
         costs = -1e-9 * np.eye(n)
         tried = [Hypothesis("legs-exchanged", _ordered(order)) for order in turned]
         for order, judged in zip(turned, judge(case, tried), strict=True):
-            near = [judged.near(leg) if judged.rows[leg] > 1 else 1.0 for leg in every.tolist()]
-            least = np.where(judged.rows > 1, QUESTIONED * judged.stroke, 0.0)
+            near = [
+                judged.near(leg) if judged.row_counts[leg] > 1 else 1.0 for leg in every.tolist()
+            ]
+            least = np.where(judged.row_counts > 1, QUESTIONED * judged.stroke, 0.0)
             costs[every, order] += np.clip(np.nan_to_num(near, nan=1.0), least, 1.0)
         orders = [linear_sum_assignment(costs)[1].tolist()]
     for k, order in enumerate(orders):

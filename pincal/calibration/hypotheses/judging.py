@@ -46,7 +46,7 @@ class Hypothesis:
 
     code: str
     """Code of its finding; sentence and remedy are in ``pincal.words.findings``."""
-    right: Callable[[Measurements], Measurements]
+    correct: Callable[[Measurements], Measurements]
     """Function that returns corrected measurements."""
     values: Mapping[str, Any] = field(default_factory=dict)
     """Names and numbers for its sentence."""
@@ -73,7 +73,7 @@ class Case:
     @staticmethod
     @lru_cache(maxsize=4)
     def of(mechanism: Mechanism, data: Measurements, free: bool, target: Target) -> Case | None:
-        """Return a case; None without rows, or if only the target's place is unknown.
+        """Return a case; None with less than two rows, or if only the target's place is unknown.
 
         ``free`` is an unknown place of the base. Rows have complete poses or, if there are none,
         positions and all readings.
@@ -126,7 +126,7 @@ class Case:
     def corrected(self, hypotheses: Sequence[Hypothesis]) -> Calibration:
         """Return the rows as they should read under hypotheses, one below the other."""
         every = self.calibration.measurements
-        trials = [hypothesis.right(every).rows(self.rows) for hypothesis in hypotheses]
+        trials = [hypothesis.correct(every).rows(self.rows) for hypothesis in hypotheses]
         data = replace(
             every.rows(np.tile(self.rows, len(trials))),
             poses=np.concatenate([trial.poses for trial in trials]),
@@ -159,7 +159,7 @@ class Judged:
     matrices: Array
     """Corrected poses in the base frame, shape (N, 4, 4); NaN where unknown, and everywhere if
     readings and measurements cannot be aligned."""
-    rows: Index
+    row_counts: Index
     """Number of rows with a reading, shape (n_legs,)."""
     gap: Array
     """Median closure residual at the nominal parameters, (n_legs,); NaN with less than two rows."""
@@ -167,7 +167,7 @@ class Judged:
     """Median motion of the leg's end by its readings, (n_legs,); the largest for passive legs."""
     bent: Index
     """Number of rows that close the leg in another working mode than home's, shape (n_legs,)."""
-    left: Callable[[int], Array]
+    remaining: Callable[[int], Array]
     """Function of a leg's index that returns its closure residuals for the best machine near
     nominal, shape (N,); NaN where there is no reading."""
     elsewhere: float = 0.0
@@ -192,43 +192,47 @@ class Judged:
         return inverse(mechanism, mechanism.platform.from_matrices(self.matrices)).readings
 
     @property
-    def judged(self) -> list[int]:
+    def judged_legs(self) -> list[int]:
         """Indices of the legs with two or more rows."""
-        return np.flatnonzero(self.rows > 1).tolist()
+        return np.flatnonzero(self.row_counts > 1).tolist()
 
     @property
     def as_home(self) -> Mask:
         """Whether most rows close a leg in home's working mode, shape (n_legs,)."""
-        return 2 * self.bent <= self.rows
+        return 2 * self.bent <= self.row_counts
 
     def near(self, leg: int) -> float:
         """Return a leg's median misfit for machines near nominal; its gap if that is too large."""
         gap = float(self.gap[leg])
-        return min(gap, float(np.nanmedian(self.left(leg)))) if gap <= DIFFER else gap
+        return min(gap, float(np.nanmedian(self.remaining(leg)))) if gap <= DIFFER else gap
 
     @property
     def misfits(self) -> Array:
         """Misfit of each leg, (n_legs,): at least 1 in another working mode, 0 without rows."""
-        sizes = np.zeros(len(self.rows))
-        for i in self.judged:
+        sizes = np.zeros(len(self.row_counts))
+        for i in self.judged_legs:
             sizes[i] = self.near(i) if self.as_home[i] else max(1.0, float(self.gap[i]))
         return sizes
 
     @property
     def misfit(self) -> float:
         """Mean misfit of legs with rows; at least 1 without any, or across a singularity."""
-        mean = float(self.misfits[self.judged].mean()) if self.judged else 1.0
+        mean = float(self.misfits[self.judged_legs].mean()) if self.judged_legs else 1.0
         return max(mean, 1.0) if self.elsewhere > 0.5 else mean
 
     @cached_property
     def questioned(self) -> list[int]:
         """Indices of the legs that no machine near nominal fits well."""
         most = np.maximum(np.minimum(QUESTIONED * self.stroke, DIFFER), PRECISE)
-        return [i for i in self.judged if not (self.gap[i] <= most[i] or self.near(i) <= most[i])]
+        return [
+            i for i in self.judged_legs if not (self.gap[i] <= most[i] or self.near(i) <= most[i])
+        ]
 
     def within(self, most: float) -> bool:
         """Return whether every leg's gap is at most ``most`` of its size, in home's mode."""
-        return self.placed and all(self.as_home[i] and self.gap[i] <= most for i in self.judged)
+        return self.placed and all(
+            self.as_home[i] and self.gap[i] <= most for i in self.judged_legs
+        )
 
     @property
     def fits_well(self) -> bool:

@@ -125,11 +125,11 @@ def _stages(case: Case) -> Iterator[list[Judged]]:
 
 def _explains(judged: Judged, as_measured: Judged) -> bool:
     """Return whether a hypothesis reduces the misfit of the given measurements enough."""
-    if not as_measured.placed and 2 * len(judged.questioned) >= len(judged.judged):
+    if not as_measured.placed and 2 * len(judged.questioned) >= len(judged.judged_legs):
         return False  # any alignment is better than none, so most legs must fit
     wrong_units = judged.hypothesis.values.get("units", ())
     shrinks = any((unit, written) == ("m", "mm") for _, unit, written in wrong_units)
-    gap = max(as_measured.gap[as_measured.judged], default=np.inf)
+    gap = max(as_measured.gap[as_measured.judged_legs], default=np.inf)
     if shrinks and (gap < 1.0 or judged.questioned):
         return False  # shrinking makes any misfit small, but lengths in mm miss by far
     most = as_measured.misfit / _EACH**judged.hypothesis.faults
@@ -150,7 +150,7 @@ def _judged(case: Case, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
         if judged.hypothesis.by_leg:
             misfits, before = (np.maximum(j.misfits, PRECISE) for j in (judged, case.as_measured))
             divided = misfits * _EACH <= before
-            helped = [i for i in judged.judged if divided[i]]
+            helped = [i for i in judged.judged_legs if divided[i]]
             if helped and len(helped) < len(every):
                 stage += judge(case, [of_legs(judged.hypothesis, mechanism, helped)])
             if len(helped) < len(every):
@@ -216,13 +216,13 @@ def as_findings(case: Case, explaining: Sequence[Judged]) -> tuple[Finding, ...]
 def _strange(case: Case) -> tuple[Finding, ...]:
     """Return the findings that rule out a fit although no hypothesis explains the misfit."""
     as_measured = case.as_measured
-    legs = [(i, case.mechanism.legs[i]) for i in as_measured.judged]
+    legs = [(i, case.mechanism.legs[i]) for i in as_measured.judged_legs]
     if not legs:
         return ()
     worst, leg = max(legs, key=lambda pair: as_measured.gap[pair[0]])
     if as_measured.gap[worst] > DIFFER:
         return (finding("not-this-mechanism", leg=leg.name, gap=float(as_measured.gap[worst])),)
-    counts = np.stack((as_measured.bent, as_measured.rows), axis=1).astype(int).tolist()
+    counts = np.stack((as_measured.bent, as_measured.row_counts), axis=1).astype(int).tolist()
     bent = tuple(
         (leg.name, tuple(leg.moving[j].name for j in leg.passive), *counts[i])
         for i, leg in legs
@@ -282,9 +282,9 @@ def _turns(case: Case) -> tuple[Finding, ...]:
 def _slips(case: Case) -> tuple[Finding, ...]:
     """Return few rows, with full poses, that miss machines near nominal far more than others."""
     as_measured = case.as_measured
-    if not case.oriented or not as_measured.judged:
+    if not case.oriented or not as_measured.judged_legs:
         return ()
-    left = np.array([as_measured.left(leg) for leg in as_measured.judged])
+    left = np.array([as_measured.remaining(leg) for leg in as_measured.judged_legs])
     usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), ROUNDING)
     times = np.nan_to_num(left / usual).max(axis=0)
     far = np.flatnonzero(times > _SLIP)

@@ -132,7 +132,7 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
     """
     platform, T = mechanism.platform, unknowns.map
     legs, J = jacobian_near(mechanism, problem, unknowns)
-    if not len(J):
+    if not len(legs.poses):
         raise ObservabilityError(
             "no machine near the nominal one reaches the poses as measured; check their frame, "
             "their units, and that this is the right mechanism"

@@ -271,7 +271,7 @@ def check_rank(
             else f"the measured poses leave parameters undetermined: {total.describe()} "
             f"(rank {total.rank} of {total.n_params}). Measure poses that separate them, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
-            "can be (leave out --method per-leg)"
+            "can be (without --method per-leg)"
         )
 
 
@@ -328,7 +328,7 @@ class HeldUnknowns(NamedTuple):
     observable: Unknowns
     """The unknowns without the directions that are unobservable even without noise."""
     nominal: Linear
-    """Conditions at the nominal parameters, where a search starts."""
+    """Conditions where a search starts: nominal, or where a fit with more held directions ended."""
     directions: Array
     """Held directions of all unknowns, as long as machines may differ, shape (n, n_lost)."""
     groups: tuple[tuple[str, ...], ...]
@@ -351,15 +351,15 @@ def hold_unobservable(
     which the standard error exceeds how far machines differ, and at least the ``fewest`` weakest.
 
     In ``system`` gauge freedoms are held; a search starts at the ``nominal`` conditions. ``held``
-    is what was held at other noise, which has the same unobservable directions.
+    is what was held before, which has the same unobservable directions.
 
     Raises:
         ObservabilityError: the legs reach none of the measured poses.
     """
     free, problem = system.unknowns, system.problem
     if held is None:
-        J = jacobian_near(mechanism, problem, free, np.flatnonzero(system.kept))[1]
-        if not len(J):
+        legs, J = jacobian_near(mechanism, problem, free, np.flatnonzero(system.kept))
+        if not len(legs.poses):
             raise ObservabilityError(
                 "the nominal legs reach none of the measured poses, so that nothing is determined; "
                 "compare the mechanism and its units with the measurements (pincal doctor)"
