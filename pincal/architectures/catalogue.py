@@ -183,7 +183,7 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
 
 
 def _arm(d: Values) -> Mechanism:
-    if not d["dh"]:
+    if isinstance(d["dh"], str) and not d["dh"]:
         raise MechanismError(
             "an arm needs a Denavit-Hartenberg table (dh); to read an arm from a URDF, use "
             "'pincal import --tip LINK' or Mechanism.from_urdf"

@@ -226,7 +226,10 @@ class Candidates:
         fresh = self.fresh(measured)
         places = np.flatnonzero(fresh if fresh.any() else self.offered)
         if not len(places):
-            raise MeasurementError("no pose of the plan is in reach; give another plan")
+            raise MeasurementError(
+                "no pose of the plan is left: all are out of reach, or were skipped; go back to "
+                "one, or give another plan"
+            )
         root = inverse_roots(self.information(measured)[None])
         gains = DETERMINANT.gain(self.rows[places], root)[0]
         falls = -np.expm1(-gains.max() / (2 * self.rows.shape[2]))

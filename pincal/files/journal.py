@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import FileError, MeasurementError, explaining
+from pincal.files.output import OTHER_TABLES
 
 Row = dict[str, Any]
 Columns = dict[str, NDArray[Any]]
@@ -33,7 +34,7 @@ class RowFile:
 
     def __init__(self, path: Path | None, columns: Sequence[str]) -> None:
         self.path, self.columns, self._lines = path, list(columns), list[Sequence[Any]]()
-        if path and path.suffix.lower() == ".parquet":
+        if path and path.suffix.lower() in OTHER_TABLES:
             raise FileError(f"{path}: tables are CSV; name {path.with_suffix('.csv')}")
 
     def read(self) -> Columns:

@@ -248,11 +248,13 @@ def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
     lacking = (~known & np.isfinite(poses[:, :2]).any(axis=1)).any()
     others = np.isfinite(poses[:, 2:]).any() or len(setup.targets) > 1 or setup.distances
     if lacking or others or not setup.unknown_frame:
-        raise MeasurementError(
-            f"{tilted}. Declare their frame unknown (--unknown-frame), so that positions can be "
-            "turned into x-y, each by its z; orientations, further targets and distances cannot be "
-            "turned with them: leave them out, or turn all into x-y yourself"
+        remedy = (
+            "Positions alone, each with z, are turned into x-y; leave out orientations, further "
+            "targets and distances, or turn all yourself"
+            if setup.unknown_frame
+            else "Turn them into x-y, or calibrate with --unknown-frame"
         )
+        raise MeasurementError(f"{tilted}. {remedy}")
     _log.info("%s; they were turned into x-y", tilted)
     turned = Rotation.align_vectors((0.0, 0.0, 1.0), normal)[0].apply(arms) + middle
     return np.column_stack((turned[:, :2], poses[:, 2:]))

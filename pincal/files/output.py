@@ -21,6 +21,8 @@ from pincal.files.text import is_input
 from pincal.model.checks import must_be
 
 _log = logging.getLogger(__name__)
+#: Suffixes of tables that are neither read nor written, and the kind to use for them.
+OTHER_TABLES = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": ".csv"}
 
 
 def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()) -> Path:
@@ -42,7 +44,10 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         inside = is_folder and Path.cwd().is_relative_to(real)
         read = _inputs_in(_made_in(real, folder) if known else [] if is_folder else [real])
     known_by = folder[0] if folder else ""
+    suffix = path.suffix.lower()
     refusals = {
+        f"{path}: {suffix} files are not written; name a {OTHER_TABLES.get(suffix)} file": suffix
+        in OTHER_TABLES,
         f"{path} is a link that leads to itself; remove it, or name a file": is_link,
         f"{path} is a device or a pipe; name a file to write": special,
         f"{path} is a folder; name a file to write": is_folder and not folder,

@@ -21,7 +21,7 @@ import lazy_loader
 import numpy as np
 
 from pincal.errors import FileError, MeasurementError
-from pincal.files.output import writing
+from pincal.files.output import OTHER_TABLES, writing
 from pincal.files.text import (
     LARGEST_FILE,
     Numeral,
@@ -42,8 +42,6 @@ _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _MOST_COLUMNS, _MOST_ROWS = 1000, 2**20  # columns and rows of a sheet
 _MOST_TITLES = 30  # most rows above the headers
-#: Suffixes of files that are not read, and the format to convert them to.
-_OTHER_KINDS = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": "CSV"}
 
 
 @dataclass(frozen=True)
@@ -171,9 +169,9 @@ def read_table(source: Any) -> TextTable:
     suffix = path.suffix.lower()
     if suffix == ".xlsx":
         return _of_rows(path, _sheet_rows(path), "row", "")
-    if suffix in _OTHER_KINDS:
+    if suffix in OTHER_TABLES:
         raise MeasurementError(
-            f"{path}: {suffix} files are not read; save the table as {_OTHER_KINDS[suffix]}"
+            f"{path}: {suffix} files are not read; save the table as {OTHER_TABLES[suffix]}"
         )
     return _of_csv(path)
 
