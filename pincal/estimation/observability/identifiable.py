@@ -271,7 +271,7 @@ def check_rank(
             else f"the measured poses leave parameters undetermined: {total.describe()} "
             f"(rank {total.rank} of {total.n_params}). Measure poses that separate them, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
-            "can be (without --method per-leg)"
+            "can be (leave out --method per-leg)"
         )
 
 
