@@ -70,9 +70,8 @@ def _undetermined(
 ) -> ObservabilityError:
     held = finding("undetermined-held", groups=groups, weak=weak)
     return ObservabilityError(
-        f"{filled(WORDINGS[held.code].says, held)}. Measure poses that separate them (that differ "
-        "in orientation above all), fix one of them, say how well nominal values are known "
-        f"(--priors), or hold them (leave out {option})"
+        f"{filled(WORDINGS[held.code].says, held)}. Measure poses that separate them, fix one of "
+        f"them, or hold them (leave out {option})"
     )
 
 

@@ -31,9 +31,9 @@ _STAYS = 1e-3  # least relative decrease of the distance where the cost is blind
 _ROUNDING = 1e-10  # predicted relative decrease of the cost below which rounding dominates
 ROWS_FOLLOW = 1e-3  # relative increase of the cost allowed because whitening changes
 # Largest numbers of steps:
-_MOST_STEPS = 500
+_MOST_STEPS = 300
 _LONGER = 3  # times as many within a standard deviation of the optimum: in a curved valley
-_STEPS_ASTRAY = 50  # while the cost of a condition is above _FAR
+_STEPS_ASTRAY = 15  # while the cost of a condition is above _FAR
 _FAR = 1e6  # cost of a condition: a thousand standard deviations, no correction of a machine
 _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
 _GROWTH = 2.0  # of the damping by a refused step; twice as much by the next

@@ -249,8 +249,8 @@ def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
     others = np.isfinite(poses[:, 2:]).any() or len(setup.targets) > 1 or setup.distances
     if lacking or others or not setup.unknown_frame:
         remedy = (
-            "Positions alone, each with z, are turned into x-y; leave out orientations, further "
-            "targets and distances, or turn all yourself"
+            "Give each its z; orientations, further targets, distances cannot be turned with them: "
+            "leave them out, or turn all yourself"
             if setup.unknown_frame
             else "Turn them into x-y, or calibrate with --unknown-frame"
         )

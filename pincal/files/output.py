@@ -22,7 +22,7 @@ from pincal.model.checks import must_be
 
 _log = logging.getLogger(__name__)
 #: Suffixes of tables that are neither read nor written, and the kind to use for them.
-OTHER_TABLES = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": ".csv"}
+OTHER_TABLES = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": "CSV"}
 
 
 def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()) -> Path:
