@@ -18,7 +18,7 @@ LINES = {
     "calibration": 6_763,
     "cli": 2_666,
     "design": 2_541,
-    "estimation": 4_390,
+    "estimation": 4_418,
     "files": 3_258,
     "formats": 3_669,
     "instruments": 1_548,

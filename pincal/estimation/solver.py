@@ -36,6 +36,7 @@ _LONGER = 3  # times as many within a standard deviation of the optimum: in a cu
 _STEPS_ASTRAY = 15  # while the cost of a condition is above _FAR
 _FAR = 1e6  # cost of a condition: a thousand standard deviations, no correction of a machine
 _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the columns
+_BENT = 0.75  # largest length of a bend relative to its step
 _GROWTH = 2.0  # of the damping by a refused step; twice as much by the next
 # Adjustment of readings:
 _CORRECTIONS = 4  # largest number of corrections of the readings in a step
@@ -110,9 +111,8 @@ def search(
             deviation = np.sqrt(current.cost / len(current.weights))
             system.progress(f"step {steps}: {deviation:.3g} σ a pose")
         # 1. A damped step of all unknowns; then each pose alone.
-        step = current.normal.step(damping)
-        trial = _end_of_step(system, current, step)
-        if trial is not None and _accepted(system, current, trial, highest):
+        trial, step = _step(system, current, damping, highest)
+        if trial is not None:
             # 2. Accepted: less damping where the cost falls as predicted.
             factor, at_end = _adapt_damping(system, current, trial, step)
             damping, growth = damping * factor, _GROWTH
@@ -225,6 +225,34 @@ def _adapt_damping(
     stays = after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
     factor = max(1.0 / 3.0, 1.0 - (2.0 * float(np.clip(gain, 0.0, 1.0)) - 1.0) ** 3)
     return factor, current.blind and stays
+
+
+def _step(
+    system: System, current: Iterate, damping: float, highest: float
+) -> tuple[Iterate | None, Array]:
+    """Return the end of a damped step (None if refused), and the step.
+
+    A step that is refused, as in a curved valley, is bent by how far the conditions at its end are
+    from linear (M. K. Transtrum and J. P. Sethna 2012), unless the bend is nearly as long.
+    """
+    normal, linear, T = current.normal, current.judged, system.unknowns.map
+    step = normal.step(damping)
+    trial = _end_of_step(system, current, step)
+    if trial is None or _accepted(system, current, trial, highest):
+        return trial, step
+    if current.blind:
+        return None, step
+    off = linear.whitened(trial.judged.conditions) - linear.residuals
+    off -= linear.jacobian @ (T @ step)
+    slope = np.einsum("nmk,nm,n->k", linear.jacobian, off, current.weights) @ T
+    along = np.linalg.solve(normal.R.T, slope / normal.lengths)
+    bend = normal._replace(c=along).step(damping)
+    length, bend_length = (float(np.linalg.norm(part * normal.lengths)) for part in (step, bend))
+    if not bend_length < _BENT * length:
+        return None, step
+    trial = _end_of_step(system, current, step + bend)
+    taken = trial is not None and _accepted(system, current, trial, highest)
+    return trial if taken else None, step
 
 
 def _end_of_step(system: System, current: Iterate, step: Array) -> Iterate | None:
