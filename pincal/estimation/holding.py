@@ -134,6 +134,7 @@ def _fit_of_its_axes(
     freedoms, least = max(refit.degrees_of_freedom, 1), float(np.finfo(float).tiny)
     gain = max(fit.chi2 - refit.chi2, 0.0) / max(refit.chi2, least) * freedoms / count
     contradicted = fdtrc(count, freedoms, gain) < _CONTRADICTED
+    refit = replace(refit, first=fit.first)
     return (refit, fewer) if refit.converged and contradicted else (fit, held)
 
 
@@ -143,4 +144,4 @@ def _fit_unless_astray(system: System, begin: Linear, bounds: Array, *, near: bo
     fit = robust_fit(replace(system, max_steps=patience), begin, near=near)
     if fit.converged or (fit.parameters < bounds[0]).any() or (fit.parameters > bounds[1]).any():
         return fit
-    return robust_fit(system, fit.last, near=near)
+    return replace(robust_fit(system, fit.last, near=near), first=fit.first)
