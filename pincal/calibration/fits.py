@@ -21,7 +21,7 @@ from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.identifiable import DIFFER, HeldUnknowns
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.system import System
+from pincal.estimation.system import NEGLIGIBLE, System
 from pincal.estimation.unknowns import External, State
 from pincal.model import Leg, Noise
 from pincal.model.checks import ALIKE
@@ -30,6 +30,7 @@ from pincal.words.findings import finding
 
 ROUNDS = 20  # largest number of alternations of fits with the noise, or with tolerances
 _REFITS = 5  # largest number of fits with estimated noise
+_AUXILIARY = 0.03  # distance [σ] at which fits end that only predict other rows, or are screened
 SETTLED = 1e-3  # relative change of an estimated standard deviation that is negligible
 
 
@@ -217,7 +218,8 @@ def _all_legs(
     options.report("identifying all legs and poses")
     known, former = calibration.noise.known, begin if rows is None else None
     counts, rejects, progress = calibration.counts, options.rejects, options.progress
-    system = System(problem, free, counts, known, rejects, patience, progress=progress)
+    tolerance = _AUXILIARY if calibration.fixed_noise else NEGLIGIBLE
+    system = System(problem, free, counts, known, rejects, patience, False, tolerance, progress)
     if options.strict:
         fit, held = fit_strictly(mechanism, system, start), None
     else:

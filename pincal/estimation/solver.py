@@ -20,13 +20,12 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.estimation.problem import Linear
-from pincal.estimation.system import NormalEquations, System
+from pincal.estimation.system import NEGLIGIBLE, NormalEquations, System
 from pincal.types import Array, Mask
 
 # Where a search ends, distances in standard errors:
 NO_STEP = 1e-9  # distance from the optimum at which it ends
 SLOW = 1e-6  # distance below which each step must halve it
-NEGLIGIBLE = 1e-3  # distance that counts as converged where no step lowers the cost
 _STAYS = 1e-3  # least relative decrease of the distance where the cost is blind to a step
 _ROUNDING = 1e-10  # predicted relative decrease of the cost below which rounding dominates
 ROWS_FOLLOW = 1e-3  # relative increase of the cost allowed because whitening changes
@@ -130,11 +129,8 @@ def search(
         freedoms = max(equations - system.unknowns.n_free, 1)
         distance /= max(float(np.sqrt(current.cost / freedoms)), 1e-300)
     exact = current.normal.decrement <= max(NO_STEP, 10.0 * rounding(system, current.linear))
-    return SolverResult(
-        current.linear,
-        distance,
-        exact or distance <= (10.0 if system.adjusted else 1.0) * NEGLIGIBLE,
-    )
+    near = 10.0 * system.tolerance if system.adjusted else NEGLIGIBLE
+    return SolverResult(current.linear, distance, exact or distance <= near)
 
 
 def optimum(system: System, start: Linear, highest: float, *, near: bool) -> SolverResult:
@@ -188,7 +184,7 @@ def adjusted(linear: Linear) -> Linear:
 def _tolerance(system: System, current: Iterate, enough: float) -> float:
     """Return the distance from the optimum at which a search ends."""
     if system.adjusted:
-        return NEGLIGIBLE
+        return system.tolerance
     deviation = np.sqrt(max(current.cost / current.linear.residuals.size, 1.0))
     return max(NO_STEP, rounding(system, current.linear), enough * float(deviation))
 

@@ -22,6 +22,7 @@ UNLIKELY = 1e-3  # probability that a good row is rejected, or that sound held-o
 _CAUCHY = float(chdtr(1, 2.385**2))  # probability that a good row is within the tuning constant
 CLEAR = 3.0  # standard errors above which an effect is significant
 FALSE_ALARM = 0.01  # probability of any finding of one kind where the model holds
+NEGLIGIBLE = 1e-3  # distance that counts as converged where no step lowers the cost, [σ]
 
 
 def cauchy(squares: Array, equations: Index) -> Array:
@@ -82,6 +83,8 @@ class System:
     """Steps after which a search stops; None for the usual number."""
     adjusted: bool = False
     """Whether conditions are taken at adjusted readings."""
+    tolerance: float = NEGLIGIBLE
+    """Distance from the optimum at adjusted readings at which a search ends, [σ]."""
     progress: Callable[[str], None] | None = None
     """Called with a text that says what is being done."""
 

@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 
@@ -55,15 +55,14 @@ def with_terms(
     legs, labels = [], list(mechanism.labels)
     ids: dict[Pair, tuple[str, ...]] = dict.fromkeys(pairs, ())
     for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
-        extended_leg = leg
-        for pair, terms, label in _lacking(leg, tried_pairs, data, data.readings[:, columns]):
-            if (longer := _with_amplitude(extended_leg, terms)) is not extended_leg:
-                id_ = f"{leg.name}.{longer.parameter_names[-1]}"
-                ids[pair] += (id_,)
-                labels.append((id_, label))
-                extended_leg = longer
+        lacking = _lacking(leg, tried_pairs, data, data.readings[:, columns])
+        extended_leg, amplitudes = _with_amplitudes(leg, lacking)
+        for name, (pair, label) in amplitudes.items():
+            ids[pair] += (f"{leg.name}.{name}",)
+            labels.append((f"{leg.name}.{name}", label))
         if (pair := (leg.name, Kind(PULLEY))) in tried_pairs and is_cable(extended_leg):
-            extended_leg = over_pulley(extended_leg, _POINT, _new_name(extended_leg, "r"))
+            name = _new_name("r", extended_leg.parameter_names)
+            extended_leg = over_pulley(extended_leg, _POINT, name)
             ids[pair] = extended_leg.parameter_ids[-1:]
             labels.append((ids[pair][0], "radius of the pulley"))
         legs.append(extended_leg)
@@ -144,30 +143,49 @@ def _bases(
         )
 
 
-def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
-    """Return a leg with terms that share a new last parameter as amplitude, unless it has them."""
+def _with_amplitudes(
+    leg: Leg, lacking: Iterable[tuple[Pair, dict[int | str, Term], str]]
+) -> tuple[Leg, dict[str, tuple[Pair, str]]]:
+    """Return a leg with new last parameters, amplitudes of terms that it lacks, and what they are.
+
+    ``lacking`` are place and kind, the terms that share an amplitude, and its label; returned are
+    place, kind and label by the name of the amplitude.
+    """
+    sensors, of_parameters, names = list(leg.sensors), list(leg.terms), list(leg.parameter_names)
     places: list[tuple[int | str, Term]]
-    places = [(i, term) for i, sensor in enumerate(leg.sensors) for term in sensor.terms]
+    places = [(i, term) for i, sensor in enumerate(sensors) for term in sensor.terms]
     by_amplitude: dict[str, dict[int | str, object]] = {}
     for place, term in (*places, *leg.terms):
         by_amplitude.setdefault(term.parameter, {})[place] = _what(term)
-    if not terms or {i: _what(term) for i, term in terms.items()} in by_amplitude.values():
-        return leg
-    name = _new_name(leg, next(iter(terms.values())).parameter)
-    sensors, of_parameters = list(leg.sensors), list(leg.terms)
-    for key, term in terms.items():
-        named = replace(term, parameter=name)
-        if isinstance(key, str):
-            of_parameters.append((key, named))
-        else:
-            sensors[key] = replace(sensors[key], terms=(*sensors[key].terms, named))
-    parameters, placed = (*leg.parameters, (name, 0.0)), tuple(of_parameters)
-    return replace(leg, sensors=tuple(sensors), terms=placed, parameters=parameters, settled=True)
+    amplitudes = dict[str, tuple[Pair, str]]()
+    for pair, terms, label in lacking:
+        same: dict[int | str, object] = {key: _what(term) for key, term in terms.items()}
+        if not terms or same in by_amplitude.values():
+            continue
+        name = _new_name(next(iter(terms.values())).parameter, names)
+        for key, term in terms.items():
+            named = replace(term, parameter=name)
+            if isinstance(key, str):
+                of_parameters.append((key, named))
+            else:
+                sensors[key] = replace(sensors[key], terms=(*sensors[key].terms, named))
+        by_amplitude[name], amplitudes[name] = same, (pair, label)
+        names.append(name)
+    if not amplitudes:
+        return leg, amplitudes
+    longer = replace(
+        leg,
+        sensors=tuple(sensors),
+        terms=tuple(of_parameters),
+        parameters=(*leg.parameters, *((name, 0.0) for name in amplitudes)),
+        settled=True,
+    )
+    return longer, amplitudes
 
 
-def _new_name(leg: Leg, name: str) -> str:
+def _new_name(name: str, taken: Sequence[str]) -> str:
     """Return a name for a parameter that the leg does not have yet."""
-    while name in leg.parameter_names:
+    while name in taken:
         name += "_term"
     return name
 
