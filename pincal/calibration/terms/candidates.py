@@ -2,9 +2,9 @@
 
 import logging
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, product
 
 import numpy as np
 
@@ -50,22 +50,27 @@ def with_terms(
     parts = {pair: [(place, pair[1]) for place in parts_of(pair[0], mechanism)] for pair in kinds}
     pairs = list(dict.fromkeys(chain.from_iterable(parts.values())))
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
-    idle = {(place, GRAVITY) for place in idle_places(mechanism, data)}
+    idle = {*product(idle_places(mechanism, data), [GRAVITY])}
     tried_pairs = [(place, kind) for place, kind in pairs if (place, kind.name) not in idle]
     legs, labels = [], list(mechanism.labels)
     ids: dict[Pair, tuple[str, ...]] = dict.fromkeys(pairs, ())
     for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
-        lacking = _lacking(leg, tried_pairs, data, data.readings[:, columns])
-        extended_leg, amplitudes = _with_amplitudes(leg, lacking)
-        for name, (pair, label) in amplitudes.items():
-            ids[pair] += (f"{leg.name}.{name}",)
-            labels.append((f"{leg.name}.{name}", label))
-        if (pair := (leg.name, Kind(PULLEY))) in tried_pairs and is_cable(extended_leg):
-            name = _new_name("r", extended_leg.parameter_names)
-            extended_leg = over_pulley(extended_leg, _POINT, name)
-            ids[pair] = extended_leg.parameter_ids[-1:]
+        known, new = _known(leg), dict[str, dict[int | str, Term]]()
+        for pair, terms, label in _lacking(leg, tried_pairs, data, data.readings[:, columns]):
+            same: dict[int | str, object] = {key: _what(term) for key, term in terms.items()}
+            if terms and same not in known:
+                stem = next(iter(terms.values())).parameter
+                name = _new_name(stem, (*leg.parameter_names, *new))
+                known.append(same)
+                new[name] = terms
+                ids[pair] += (f"{leg.name}.{name}",)
+                labels.append((f"{leg.name}.{name}", label))
+        longer = _extended(leg, new)
+        if (pair := (leg.name, Kind(PULLEY))) in tried_pairs and is_cable(longer):
+            longer = over_pulley(longer, _POINT, _new_name("r", longer.parameter_names))
+            ids[pair] = longer.parameter_ids[-1:]
             labels.append((ids[pair][0], "radius of the pulley"))
-        legs.append(extended_leg)
+        legs.append(longer)
     named = {pair: sum((ids[single] for single in part), ()) for pair, part in parts.items()}
     return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), named
 
@@ -143,49 +148,32 @@ def _bases(
         )
 
 
-def _with_amplitudes(
-    leg: Leg, lacking: Iterable[tuple[Pair, dict[int | str, Term], str]]
-) -> tuple[Leg, dict[str, tuple[Pair, str]]]:
-    """Return a leg with new last parameters, amplitudes of terms that it lacks, and what they are.
-
-    ``lacking`` are place and kind, the terms that share an amplitude, and its label; returned are
-    place, kind and label by the name of the amplitude.
-    """
-    sensors, of_parameters, names = list(leg.sensors), list(leg.terms), list(leg.parameter_names)
-    places: list[tuple[int | str, Term]]
-    places = [(i, term) for i, sensor in enumerate(sensors) for term in sensor.terms]
-    by_amplitude: dict[str, dict[int | str, object]] = {}
-    for place, term in (*places, *leg.terms):
+def _known(leg: Leg) -> list[dict[int | str, object]]:
+    """Return the terms of each amplitude of a leg, by parameter or sensor index."""
+    by_amplitude = dict[str, dict[int | str, object]]()
+    of_sensors = ((i, term) for i, sensor in enumerate(leg.sensors) for term in sensor.terms)
+    for place, term in chain[tuple[int | str, Term]](of_sensors, leg.terms):
         by_amplitude.setdefault(term.parameter, {})[place] = _what(term)
-    amplitudes = dict[str, tuple[Pair, str]]()
-    for pair, terms, label in lacking:
-        same: dict[int | str, object] = {key: _what(term) for key, term in terms.items()}
-        if not terms or same in by_amplitude.values():
-            continue
-        name = _new_name(next(iter(terms.values())).parameter, names)
-        for key, term in terms.items():
-            named = replace(term, parameter=name)
-            if isinstance(key, str):
-                of_parameters.append((key, named))
-            else:
-                sensors[key] = replace(sensors[key], terms=(*sensors[key].terms, named))
-        by_amplitude[name], amplitudes[name] = same, (pair, label)
-        names.append(name)
-    if not amplitudes:
-        return leg, amplitudes
+    return list(by_amplitude.values())
+
+
+def _extended(leg: Leg, new: Mapping[str, Mapping[int | str, Term]]) -> Leg:
+    """Return a leg with new last parameters, amplitudes of terms at parameters or sensors."""
+    named = [(k, replace(t, parameter=name)) for name, ts in new.items() for k, t in ts.items()]
+    parts = ((s, [t for k, t in named if k == i]) for i, s in enumerate(leg.sensors))
     longer = replace(
         leg,
-        sensors=tuple(sensors),
-        terms=tuple(of_parameters),
-        parameters=(*leg.parameters, *((name, 0.0) for name in amplitudes)),
+        sensors=tuple(replace(sensor, terms=(*sensor.terms, *terms)) for sensor, terms in parts),
+        terms=(*leg.terms, *((k, t) for k, t in named if isinstance(k, str))),
+        parameters=(*leg.parameters, *((name, 0.0) for name in new)),
         settled=True,
     )
-    return longer, amplitudes
+    return longer if new else leg
 
 
-def _new_name(name: str, taken: Sequence[str]) -> str:
-    """Return a name for a parameter that the leg does not have yet."""
-    while name in taken:
+def _new_name(name: str, names: Sequence[str]) -> str:
+    """Return a name for a parameter that a leg with parameters of these names does not have."""
+    while name in names:
         name += "_term"
     return name
 

@@ -63,10 +63,8 @@ class Model:
     @property
     def parameters(self) -> int:
         """Number of free parameters, without those held as drawn."""
-        unknowns = [fit.unknowns for fit in self.fits.fits]
-        return sum(
-            unknown.map.shape[1] - int((unknown.priors <= _PINNED).sum()) for unknown in unknowns
-        )
+        unknowns = [(fit.unknowns.n_free, fit.unknowns.priors) for fit in self.fits.fits]
+        return sum(count - int((priors <= _PINNED).sum()) for count, priors in unknowns)
 
     def errors(self, held: Calibration) -> Array:
         """Return squares and numbers of whitened residuals by row, and squared misses, (N, 4)."""
