@@ -23,6 +23,7 @@ from pincal.files.table import write_table
 from pincal.formats.corrections import correction_grid, grid_columns
 from pincal.formats.data_sheet import deltakins, genhexkins, geometry_sheet
 from pincal.formats.deployed import Deployed, c_header, python_file
+from pincal.kinematics.configurations import command, home_of
 from pincal.model import Mechanism, Plan, Setup
 from pincal.model.checks import count_of
 from pincal.option import option, option_of
@@ -185,16 +186,15 @@ def _with_grid(
 
 
 def _example(deployed: Deployed) -> tuple[list[float], list[float], dict[str, int]]:
-    """Return a reachable pose (home if it is), its readings, and how many poses an arm finds."""
-    kinematics, poses = deployed.kinematics, [[*deployed.mechanism.platform.home]]
-    if any(leg.is_arm for leg in deployed.mechanism.legs):
-        poses += sample_workspace(deployed.mechanism, _TRIED).tolist()
-    solutions = [kinematics.inverse(kinematics.pose(*pose)) for pose in poses]
-    reached = [place for place, solution in enumerate(solutions) if not solution.reason]
-    ways = [solutions[place].joints for place in reached if place]
-    within = sum(not kinematics.beyond_limits(joints) for joints in ways)
-    counts = {"found": len(ways), "tried": len(poses) - 1, "within": within}
-    return poses[reached[0]], solutions[reached[0]].values, counts
+    """Return a reachable pose (home's if it is), its readings, and how many poses an arm finds."""
+    kinematics, machine = deployed.kinematics, deployed.mechanism
+    poses = command(machine, home_of(machine))[0].tolist()
+    if any(leg.is_arm for leg in machine.legs):
+        poses += sample_workspace(machine, _TRIED).tolist()
+    tries = ((pose, kinematics.inverse(kinematics.pose(*pose))) for pose in poses)
+    (pose, first), *more = [(pose, way) for pose, way in tries if not way.reason]
+    within = sum(not kinematics.beyond_limits(way.joints) for _, way in more)
+    return pose, first.values, {"found": len(more), "tried": len(poses) - 1, "within": within}
 
 
 def _how_to(deployed: Deployed, **facts: Any) -> str:
