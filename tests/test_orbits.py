@@ -235,6 +235,8 @@ def test_parameters_that_do_not_map_are_refused() -> None:
     assert len(group.elements) == 3
     with pytest.raises(pincal.SymmetryError, match="not the parameters of one"):
         carried_legs(group, workspace("3RRR", 30))
+    plan = pincal.select(other, candidates=workspace("3RRR", 200), count=8, starts=1)
+    assert plan.protocol == "independent"  # unless asked for, symmetry is no must
 
 
 def test_rows_map_by_one_matrix() -> None:

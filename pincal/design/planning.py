@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.design.orbits import merged, selection_group
+from pincal.design.orbits import merged
 from pincal.design.order import in_rounds, with_distances, with_verification
 from pincal.design.select import Goal, Protocol, Selection, select_configurations, select_poses
 from pincal.errors import MeasurementError, SymmetryError, WorkspaceError
@@ -18,6 +18,8 @@ from pincal.estimation.noise import assumed_noise, check_noise
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
+from pincal.kinematics.closed_forms import closed_form
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.collision import arm_free_of_collision
 from pincal.kinematics.configurations import check_reached
 from pincal.model import Mechanism, Noise, Plan, Setup
@@ -29,8 +31,8 @@ from pincal.workspace.limits import Limits
 from pincal.workspace.sampling import sample_configurations, sample_contacts
 
 CONFIGURATIONS = 3000
-"""Number of candidates, where poses serve all parameters together."""
-_POSES = 30_000  # candidates, where legs have poses of their own
+"""Number of candidates, where poses serve all parameters together or legs close by a search."""
+_POSES = 30_000  # candidates, where legs of closed forms have poses of their own
 _FEW = 4  # if limits leave fewer than one in so many candidates, more are drawn
 _log = logging.getLogger(__name__)
 
@@ -53,7 +55,8 @@ class PlanningOptions(Limits):
     )
     candidates: Any = option(
         None,
-        "Poses to choose from; by default 30000 are sampled, 3000 for all legs together.",
+        "Poses to choose from; by default 30000 are sampled, 3000 for all legs together or where "
+        "legs have no closed form.",
         metavar="CSV",
         kind=Path | None,
     )
@@ -139,7 +142,8 @@ def select(
             "goal 'parameters'; leave it out: poses are then common to all legs"
         )
     progress("sampling the workspace")
-    offered = _candidates(mechanism, choice, setup, margins, CONFIGURATIONS if together else _POSES)
+    few = together or not all(map(closed_form, nominal_legs(mechanism)))
+    offered = _candidates(mechanism, choice, setup, margins, CONFIGURATIONS if few else _POSES)
     progress("choosing poses")
     search: dict[str, Any] = {"noise": noise, "seed": choice.seed, "starts": choice.starts}
     if together:
@@ -158,22 +162,18 @@ def _of_legs(
     mechanism: Mechanism, offered: Plan, choice: PlanningOptions, search: dict[str, Any]
 ) -> Selection:
     """Return poses chosen leg by leg; the default protocol is symmetric where that is possible."""
-    protocol = choice.protocol
-    if protocol is None:
-        try:
-            selection_group(mechanism)
-        except SymmetryError as error:
-            _log.info("independent selection: %s", error)
-            protocol = "independent"
-    given = mechanism, offered.poses, choice.count
-    selection = select_poses(*given, protocol or "symmetric", **search)
-    if not choice.allow(mechanism, selection.plan, Setup()).all():
-        if protocol is not None:
-            raise MeasurementError(
-                f"--protocol {protocol} maps poses out of the limits; leave it out, or choose "
-                "limits with the mechanism's symmetry"
+    protocol, given = choice.protocol, (mechanism, offered.poses, choice.count)
+    try:
+        selection = select_poses(*given, protocol or "symmetric", **search)
+        if not choice.allow(mechanism, selection.plan, Setup()).all():
+            raise SymmetryError(
+                "poses are mapped out of the limits: choose limits with the mechanism's symmetry, "
+                "or poses for each leg alone (--protocol independent)"
             )
-        _log.info("independent selection: the limits do not have the mechanism's symmetry")
+    except SymmetryError as error:
+        if protocol is not None:
+            raise
+        _log.info("independent selection: %s", error)
         selection = select_poses(*given, "independent", **search)
     if selection.protocol == "independent":  # a pose that several legs need is driven to once
         plan = merged(mechanism, selection.plan.poses, selection.plan.sets or ())
