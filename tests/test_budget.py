@@ -22,7 +22,7 @@ LINES = {
     "files": 3_258,
     "formats": 3_669,
     "instruments": 1_548,
-    "kinematics": 3_412,
+    "kinematics": 3_410,
     "model": 3_557,
     "show": 3_914,
     "symmetry": 1_189,

@@ -142,8 +142,8 @@ def select(
             "goal 'parameters'; leave it out: poses are then common to all legs"
         )
     progress("sampling the workspace")
-    few = together or not all(map(closed_form, nominal_legs(mechanism)))
-    offered = _candidates(mechanism, choice, setup, margins, CONFIGURATIONS if few else _POSES)
+    quick = not together and all(map(closed_form, nominal_legs(mechanism)))
+    offered = _candidates(mechanism, choice, setup, margins, _POSES if quick else CONFIGURATIONS)
     progress("choosing poses")
     search: dict[str, Any] = {"noise": noise, "seed": choice.seed, "starts": choice.starts}
     if together:

@@ -1,8 +1,8 @@
 """Inverse kinematics of legs in their working modes, and the readings of their sensors.
 
 Newton's method closes a leg from a start in its working mode, which is the sign of det ∂c/∂(θ, p)
-at home. The start is a closed form or the nearest of sampled tips. Joints are NaN where a leg
-cannot reach the pose in its mode; another branch is never returned. A homed sensor counts from the
+at home. The start is a closed form, or follows the platform from home, or is the nearest of sampled
+tips. Joints are NaN where a leg cannot reach the pose in its mode. A homed sensor counts from the
 joint's position at the platform's home pose, which is found by closing the leg there.
 """
 
@@ -39,12 +39,12 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
     if form:
         joints, possible = form.joints(closure.targets(matrices))
         return joints, possible & (attempt == 0)
-    if closure.leg.ends:  # random positions rarely come near to closing its loops
+    if closure.leg.ends or (closure.leg.passive and not attempt):  # its branch goes on from home
         joints = _followed(closure, matrices)
         return joints, np.full(len(joints), attempt == 0)
     tree, joints, reach = _samples(closure.leg, closure.platform)
     turning = [i for i in closure.leg.passive if not closure.leg.moving[i].limited]
-    count = _ALIKE if turning and not attempt else 1  # a mode may have several solutions
+    count = _ALIKE if turning else 1  # a mode may have several solutions
     columns = list(range(attempt + 1, attempt + 1 + count))
     distance, nearest = tree.query(_places(closure, matrices), columns)
     index = np.minimum(nearest, len(joints) - 1)  # an infinite target has no neighbour
@@ -220,7 +220,7 @@ def _search(
     leg: LegClosure, matrices: Array, attempts: int, joints: Array, closed: Mask, possible: Mask
 ) -> None:
     """Search joints that close the leg by Newton's method; ``joints`` and ``closed`` are set."""
-    for attempt in range(attempts):
+    for attempt in range(min(attempts, 2) if leg.leg.passive else attempts):
         rows = np.flatnonzero(possible & ~closed)
         if not len(rows):
             break
@@ -276,13 +276,11 @@ def started(
     Active joints follow readings, in ``known`` before influences, (L N, n_active [+ n_influences]).
     Passive joints are as in ``near``, or nearly close the legs at poses (L N, 4, 4).
     """
-    if near is None and legs[0].leg.ends:  # only readings select the branches of its loops
-        near = _followed(legs[0], matrices, sensor_law(legs[0]).position(known))
-    elif near is None and legs[0].leg.passive:
+    if near is None and closed_form(legs[0]):
         near = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
-        if not closed_form(legs[0]):  # a sampled start may be in another mode
-            closed = close(legs, matrices, near=near)
-            near = np.where(closed.reached[:, None], closed.joints, near)
+    elif near is None and legs[0].leg.passive:  # readings select the branches
+        drives = each(lambda leg, rows: sensor_law(leg).position(rows), legs, known)
+        near = each(_followed, legs, matrices, drives)
     start = np.zeros((len(matrices), len(legs[0].leg.moving))) if near is None else near
 
     def driven(leg: LegClosure, joints: Array, rows: Array) -> Array:

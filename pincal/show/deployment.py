@@ -192,9 +192,9 @@ def _example(deployed: Deployed) -> tuple[list[float], list[float], dict[str, in
     if any(leg.is_arm for leg in machine.legs):
         poses += sample_workspace(machine, _TRIED).tolist()
     tries = ((pose, kinematics.inverse(kinematics.pose(*pose))) for pose in poses)
-    (pose, first), *more = [(pose, way) for pose, way in tries if not way.reason]
-    within = sum(not kinematics.beyond_limits(way.joints) for _, way in more)
-    return pose, first.values, {"found": len(more), "tried": len(poses) - 1, "within": within}
+    (pose, solution), *ways = [(pose, way) for pose, way in tries if not way.reason]
+    within = sum(not kinematics.beyond_limits(way.joints) for _, way in ways)
+    return pose, solution.values, {"found": len(ways), "tried": len(poses) - 1, "within": within}
 
 
 def _how_to(deployed: Deployed, **facts: Any) -> str:

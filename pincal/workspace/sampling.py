@@ -290,7 +290,7 @@ def _explore(
             twists = rng.uniform(-near, near, (batch, platform.dof))
             poses = platform.moved(np.repeat(home, batch, axis=0), twists)
         accepted = np.concatenate((accepted, poses[counts(poses)]))
-        if len(accepted) >= _PILOT:
+        if len(accepted) >= min(_PILOT, batch // 4):
             break
         if len(accepted) > _HITS:  # too few yet: draw in the box around them
             low, high = around(accepted, 0.5)
