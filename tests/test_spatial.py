@@ -170,6 +170,18 @@ def test_quaternion_of_wrong_length_is_refused(hexapod: pincal.Mechanism, tmp_pa
         pincal.Plan.from_csv(path, hexapod)
 
 
+def test_angles_for_a_rotation_vector_are_refused(
+    hexapod: pincal.Mechanism, tmp_path: Path
+) -> None:
+    """No rotation vector is longer than half a turn; roll, pitch and yaw often are."""
+    path = tmp_path / "poses.csv"
+    path.write_text("x [m],y [m],z [m],rx [deg],ry [deg],rz [deg]\n0,0,1.8,20,-70,170\n")
+    with pytest.raises(pincal.MeasurementError, match=r"row 1: the rotation vector's .*roll"):
+        pincal.Plan.from_csv(path, hexapod)
+    path.write_text("x [m],y [m],z [m],rx [deg],ry [deg],rz [deg]\n0,0,1.8,0,0,180.0001\n")
+    assert len(pincal.Plan.from_csv(path, hexapod).poses) == 1
+
+
 def random_hexapod(hexapod: pincal.Mechanism, rng: np.random.Generator) -> pincal.Mechanism:
     """Return a hexapod with other numbers in every leg."""
     values = {}

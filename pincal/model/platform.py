@@ -37,6 +37,7 @@ WAYS: dict[str, tuple[tuple[str, ...], str]] = {
     "quaternion": (("qw", "qx", "qy", "qz"), "1"),
     "zyx": (("yaw", "pitch", "roll"), "rad"),
 }
+_HALF_TURN = 1.005 * np.pi  # longest rotation vector, with a margin for rounding
 _UNIT_NORM = 1e-3  # largest difference of a quaternion's length from 1
 _POLE = 1e-13  # sine of the angle from a pole, below which rounding decides the angles about it
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
@@ -317,22 +318,21 @@ def rotation_of(way: str, values: Array) -> Rotation:
         values: Values of the columns, shape (N, 3), [rad], or (N, 4) for quaternions.
 
     Raises:
-        MeasurementError: the length of a quaternion is not 1.
+        MeasurementError: a quaternion's length is not 1, or a vector's more than half a turn.
     """
     if way == "tilt-torsion":
         return Rotation.from_quat(_quaternions(values).T)
-    if way == "rotation-vector":
-        return Rotation.from_rotvec(values)
     if way == "zyx":
         return Rotation.from_euler("ZYX", values)
-    error = np.abs(np.linalg.norm(values, axis=1) - 1.0)
-    if (error > _UNIT_NORM).any():
-        raise MeasurementError(
-            f"row {int(np.argmax(error)) + 1}: the quaternion's length misses 1 by "
-            f"{error.max():.2g}; "
-            "expected qw, qx, qy, qz of length 1"
-        )
-    return Rotation.from_quat(values, scalar_first=True)
+    lengths, vector = np.linalg.norm(values, axis=1), way == "rotation-vector"
+    wrong = lengths > _HALF_TURN if vector else np.abs(lengths - 1.0) > _UNIT_NORM
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        limit = "at most π; angles about fixed axes are roll, pitch, yaw, degrees [deg]"
+        expected = limit if vector else "qw, qx, qy, qz of length 1"
+        wrong_row = f"row {row + 1}: the {way.replace('-', ' ')}'s length is {lengths[row]:.4g}"
+        raise MeasurementError(f"{wrong_row}; expected {expected}")
+    return Rotation.from_rotvec(values) if vector else Rotation.from_quat(values, scalar_first=True)
 
 
 def _quaternions(values: Array) -> Array:

@@ -221,12 +221,13 @@ def _columns_of_a_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
 
 
 def _angles(case: Case) -> Iterator[Hypothesis]:
-    """Yield signs and orders of the columns of a spatial platform's orientation."""
+    """Yield signs, orders and another meaning of the columns of a spatial orientation."""
     platform = case.mechanism.platform
     written = case.calibration.measurements.written
 
-    def turned(r: Array, R: Array, way: str, changes: Array) -> tuple[Array, Array]:
-        return r, rotation_of(way, columns_of(way, Rotation.from_matrix(R)) @ changes.T).as_matrix()
+    def turned(r: Array, R: Array, way: str, changes: Array, to: str = "") -> tuple[Array, Array]:
+        columns = columns_of(way, Rotation.from_matrix(R)) @ changes.T
+        return r, rotation_of(to or way, columns).as_matrix()
 
     for way in ((written,) if written else WAYS) if platform.turns == 3 else ():
         names, unit = WAYS[way]
@@ -239,6 +240,9 @@ def _angles(case: Case) -> Iterator[Hypothesis]:
             move = partial(turned, way=way, changes=np.eye(n)[order])
             values = tuple((names[i], names[k]) for i, k in enumerate(order) if i != k)
             yield Hypothesis("angles-exchanged", _posed(platform, move), {"order": values})
+        if way == "rotation-vector":
+            move = partial(turned, way=way, changes=np.eye(n)[::-1], to="zyx")
+            yield Hypothesis("vector-is-angles", _posed(platform, move))
 
 
 def _exchanged(case: Case) -> Iterator[Hypothesis]:
