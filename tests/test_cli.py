@@ -462,9 +462,6 @@ BAD = {
     "one-pose": Case(
         f"{CALIBRATE} --strict", ["leg_1", "together", "--strict"], measured(one_pose)
     ),
-    "rows-copied": Case(
-        CALIBRATE, ["rows", "4", "21", "identical"], measured(only([*range(20), 3]))
-    ),
     # options
     "noise-negative": Case(
         "calibrate 3RRR measured.csv --noise-position -1e-4 --noise-orientation 1e-4",

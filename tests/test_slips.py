@@ -157,3 +157,19 @@ def test_one_row_is_no_slip() -> None:
     poses[-1, 0] += 1.2e-4
     fit = fitted(prepared(plain, replace(data, poses=poses), noise=NOISE)).fits[0]
     assert not slips(fit)
+
+
+def test_a_frame_that_moved_askew_is_named_by_calibrate() -> None:
+    """Its coordinates step together: a step of one of them leaves the others' rows alike."""
+    arm, draw = loaded("ur5"), np.random.default_rng(1)
+    readings = draw.uniform(-1.2, 1.2, (40, 6))
+    plan = pincal.Plan(pincal.forward(arm, readings).poses, readings=readings)
+    truth, noise = pincal.disturb(arm, 1e-3, seed=1), pincal.Noise(5e-5, 1e-4, 0.0)
+    data = pincal.simulate(arm, truth, plan, noise, seed=1).measurements
+    setup = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(unknown=True)})
+    for size in (1e-4, 2e-4):  # a drift of one coordinate was named, or that rows are alike
+        slip = (np.arange(40) >= 20)[:, None] * np.array([size, size, -0.6 * size])
+        poses = np.pad(data.poses[:, :3] + slip, ((0, 0), (0, 3)), constant_values=np.nan)
+        result = pincal.calibrate(arm, replace(data, poses=poses), setup=setup)
+        (step,) = (remark for remark in result.findings if remark.code == "step")
+        assert (step.values["what"], step.rows) == ("frame", (20,))

@@ -203,7 +203,6 @@ def started(calibration: Calibration) -> Calibration:
     """Return a calibration with its measurements checked, and with its terms and start."""
     options = calibration.options
     check_noise(calibration.mechanism, options.noise)
-    plausibility.check_copies(calibration.measurements, every_pose=options.every_pose)
     plausibility.check_contacts(calibration.observation, calibration.measurements)
     plausibility.check_distances(calibration)
     if options.setup.pixels:

@@ -17,7 +17,7 @@ from pincal.estimation.unknowns import State, Unknowns, unknowns
 from pincal.finding import Finding
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name, influence_columns
-from pincal.model import Measurements, Mechanism, Noise
+from pincal.model import ROW, Measurements, Mechanism, Noise
 from pincal.types import Array, Index, Mask
 
 
@@ -133,22 +133,43 @@ class Calibration:
 
     @cached_property
     def counts(self) -> Mask:
-        """Which rows the fit uses, shape (N,): all except verification rows and equal repeats.
+        """Which rows the fit uses, shape (N,): not those for verification, nor copies.
 
-        Of rows that ``pose`` marks as repeats and that are equal in every measured value, only the
-        first counts: at a sensor's resolution they say no more than one row.
+        Equal repeats of a ``pose`` count once: at a sensor's resolution they say no more.
         """
         data = self.measurements
         counted = ~data.verifying
-        if data.places is None:
-            return counted
-        measured = np.column_stack([data.poses, data.readings, *data.extra.values()])
+        counted[[row for _, row in self.copies]] = False
         runs = data.runs or ("",) * len(data)
         keys: set[tuple[str, str, bytes]] = set()
-        for row, key in enumerate(zip(data.places, runs, map(bytes, measured), strict=True)):
-            counted[row] &= not key[0] or key not in keys
+        for row, key in enumerate(zip(data.places or runs, runs, self._values, strict=True)):
+            counted[row] &= not (data.places and key[0]) or key not in keys
             keys.add(key)
         return counted
+
+    @cached_property
+    def copies(self) -> list[tuple[int, int]]:
+        """Rows equal in every measured value, the first and a later one, that serve the same leg.
+
+        Rows of one ``pose`` are repeats. So are equal readings with different poses; of these, some
+        may be equal by chance.
+        """
+        data, groups = self.measurements, dict[tuple[str, bytes], list[int]]()
+        measured = np.isfinite(np.column_stack([data.poses, *data.extra.values()])).any(axis=1)
+        measured |= not measured.any() and ROW not in data.contacts
+        for row in np.flatnonzero(measured & ~data.verifying).tolist():
+            served = "" if data.sets is None or self.options.every_pose else data.sets[row]
+            groups.setdefault((served, data.readings[row].tobytes()), []).append(row)
+        pairs = [(first, row) for first, *others in groups.values() for row in others]
+        if any(self._values[first] != self._values[row] for first, row in pairs):
+            return []
+        places = data.places or ("",) * len(data)
+        return [(a, b) for a, b in pairs if not places[a] or places[a] != places[b]]
+
+    @cached_property
+    def _values(self) -> list[bytes]:
+        data = self.measurements
+        return [*map(bytes, np.column_stack([data.poses, data.readings, *data.extra.values()]))]
 
     def leg_block(
         self,

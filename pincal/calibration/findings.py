@@ -36,6 +36,9 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     if held is not None and (held.groups or held.weak):  # a misfit may be why a search went astray
         place = astray if held.fewest else first
         place.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
+    if copies := result.calibration.copies:
+        equal = sorted({*np.ravel(copies).tolist()})
+        first.append(finding("rows-copied", equal, first=copies[0], pairs=len(copies)))
     first += [*_zeros_found(result), *result.calibration.tolerances]
     few = _few_poses(result)
     if rounding(fits):
@@ -174,23 +177,18 @@ def lacking(fits: Fits) -> list[Finding]:
 def _named_error(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
     """Return a finding for an error that residuals follow, a step, or a pose that moved."""
     values: dict[str, Any] = {"quantity": worst.name, "p_value": p_value}
-    if worst.correlation:
+    slip = next((slip for slip in slips(fit) if slip.term == "step"), None)
+    if slip is None and worst.correlation:
         return finding("rows-alike", correlation=worst.correlation, **values)
-    if worst.term == "step":
-        return _named_step(p_value, worst, fit)
+    if worst.term == "step" or (slip and (worst.correlation or slip.p_value < worst.p_value)):
+        slip = slip or worst
+        values = {"what": slip.what, "name": slip.name, "unit": slip.unit, "p_value": p_value}
+        return finding("step", (int(fit.rows[slip.row]),), size=slip.total, **values)
     if worst.term != "again":
         return finding("model-lacks", term=worst.term, **values)
     values |= {"size": worst.total, "unit": worst.unit}
     rows = fit.rows[_repeated_poses(data, fit.rows)[worst.place]]
     return finding("reference-moved", rows, pose=worst.place, **values)
-
-
-def _named_step(p_value: float, worst: Score, fit: Fit) -> Finding:
-    """Return a finding for the reading, target or frame whose step explains residuals best."""
-    slip = next((slip for slip in slips(fit) if slip.term == "step"), worst)
-    values: dict[str, Any] = {"what": slip.what, "name": slip.name, "unit": slip.unit}
-    rows = (int(fit.rows[slip.row]),)
-    return finding("step", rows, size=slip.total, p_value=p_value, **values)
 
 
 def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:

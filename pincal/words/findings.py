@@ -215,11 +215,10 @@ FAULTS: dict[str, Wording] = {
         "{(100 * left)|g(2)} % of the leg's length; the stroke is {(100 * stroke)|g(2)} %)",
         "Check the order and signs of readings, the signs and frame of poses, and the mechanism",
     ),
-    "rows-copied": _error(
+    "rows-copied": Wording(
         "data rows {first[0] + 1} and {first[1] + 1} are identical"
-        "{' (and %d more such pairs)' % (pairs - 1) if pairs > 1}; repeated measurements would "
-        "differ by noise",
-        "Remove the copies",
+        "{' (and %d more such pairs)' % (pairs - 1) if pairs > 1} and count once",
+        "Repeated measurements would differ by noise: remove copies",
     ),
     "noise-too-large": _error(
         "the noise given for the {what} is {'%g' % given} {unit}{% if what == 'position' %}, more "
@@ -302,6 +301,7 @@ HYPOTHESES: dict[str, Wording] = {
         "{', ' if not loop.first}{name} is in column {column}{% endfor %}{% endif %}",
         _ORDER,
     ),
+    "vector-is-angles": _hypothesis("rx, ry, rz are roll, pitch, yaw", "Name them so"),
     "orientation-inverted": _hypothesis(
         "the orientations are inverted (those of the base in the platform's frame)",
         "Give orientations of the platform in the base frame",

@@ -39,7 +39,7 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.forward import forward
 from pincal.model import ROW, TO, Measurements
 from pincal.model.checks import ROUNDING
-from pincal.words.findings import finding, sentence
+from pincal.words.findings import finding
 from pincal.words.numbers import amount
 
 _STILL = 1e-3  # least range of moving readings, over a leg's size, or [rad]
@@ -292,29 +292,6 @@ def _slips(case: Case) -> tuple[Finding, ...]:
         return ()
     worst = int(case.rows[np.argmax(times)])
     return (finding("bad-rows", case.rows[far], worst=worst, times=float(times.max())),)
-
-
-def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
-    """Raise a MeasurementError if rows that serve the same leg have equal measurements.
-
-    Rows chosen for different legs may be copies of each other, unless ``every_pose`` serves every
-    leg. Where equal readings come with different poses, measurements were repeated, and poses
-    written with few digits may be equal by chance; rows of one ``pose`` are repeats, not copies.
-    """
-    measured = np.column_stack([data.poses, *data.extra.values()])
-    groups, places = dict[tuple[str, bytes], list[int]](), data.places or ("",) * len(data)
-    nothing = np.isnan(measured).all(axis=1)  # for example, a photo shows no board
-    for row in np.flatnonzero(~nothing | (nothing.all() & (ROW not in data.contacts))).tolist():
-        served = "" if data.sets is None or every_pose else data.sets[row]
-        groups.setdefault((served, data.readings[row].tobytes()), []).append(row)
-    pairs = [(first, row) for first, *others in groups.values() for row in others]
-    if not all(np.array_equal(measured[a], measured[b], equal_nan=True) for a, b in pairs):
-        return
-    copies = [(a, b) for a, b in pairs if not places[a] or places[a] != places[b]]
-    if copies:
-        rows = tuple(sorted({row for pair in copies for row in pair}))
-        copied = finding("rows-copied", rows, first=copies[0], pairs=len(copies))
-        raise MeasurementError(sentence(copied))
 
 
 def check_contacts(observation: Observation, data: Measurements) -> None:
