@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 262,
     "architectures": 616,
-    "calibration": 6_769,
+    "calibration": 6_768,
     "cli": 2_666,
     "design": 2_541,
     "estimation": 4_418,
