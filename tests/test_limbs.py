@@ -584,6 +584,18 @@ def test_a_loop_may_close_on_a_link_that_carries_it(ends: str, tmp_path: Path) -
 
 
 @pytest.mark.slow
+def test_samples_lead_from_home_to_the_branch_that_closes(tmp_path: Path) -> None:
+    """Where arms of a delta turn all round, exact rows of a machine 2 mm off close at it."""
+    done("import", neighbours.six_rod_delta(tmp_path / "delta"), "-o", tmp_path / "imported")
+    mechanism, none = pincal.load_mechanism(tmp_path / "imported"), pincal.Noise(0.0, 0.0, 0.0)
+    truth, plan = pincal.disturb(mechanism, 2e-3), pincal.sample_configurations(mechanism, 300)
+    data = pincal.simulate(mechanism, truth, plan, none).measurements
+    assert len(data) > 250
+    result = pincal.calibrate(truth, data, noise=pincal.Noise(1e-6, 1e-6, 1e-6), folds=0)
+    assert {finding.code for finding in result.findings} <= {"chi2-too-small"}
+
+
+@pytest.mark.slow
 def test_more_drives_than_freedoms_lead_to_the_branch_that_was_planned() -> None:
     """A plan's poses and readings close all loops from home, also of a machine with errors.
 

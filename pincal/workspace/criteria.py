@@ -18,7 +18,7 @@ from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks
 from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_legs, in_home_modes
+from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_legs, in_home_modes, started
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import beyond_limits
 from pincal.kinematics.derivatives import nearest_closure
@@ -31,7 +31,7 @@ from pincal.kinematics.singularity import (
     rods_margin,
 )
 from pincal.model import WAYS, Mechanism, Platform, Poses
-from pincal.model.checks import EXACT, ROUNDING, must_be
+from pincal.model.checks import EXACT, ROUNDING, must_be, wrapped
 from pincal.model.consistency import home_gap
 from pincal.model.platform import rotation_of
 from pincal.option import option
@@ -41,9 +41,8 @@ from pincal.workspace.grid import Axis
 
 _FAR = 0.23  # default margin from type-1 singularities
 _MOST_ORIENTATIONS = 1_000_000
+_SETTLED = 1e-2  # largest change of joints, [rad] or [m], where Newton's method starts well
 _GRIP = 1e-6  # least type-1 margin: nearer, rounding errors choose the working mode
-
-
 _SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
 
 
@@ -255,9 +254,11 @@ class Criteria:
         matrices = platform.matrices(poses)
         for place, leg in enumerate(self._legs):
             known = self.mechanism.known(place, readings, None)
-            closure, joints = nearest_closure((leg,), matrices, known)
+            start = started((leg,), matrices, known)
+            closure, joints = nearest_closure((leg,), matrices, known, start)
             tolerance = 10.0 * max(home_gap(leg.leg, platform)) + EXACT * leg.size
             near = (np.abs(closure.gap).max(axis=1) <= tolerance) & in_home_modes((leg,), closure)
+            near &= np.abs(wrapped(start - joints)).max(axis=1) <= _SETTLED  # led there from home
             closed.append(([place], ClosedLegs(joints[:, : len(leg.leg.moving)], near, closure)))
         return self._counted(closed)
 
@@ -268,8 +269,7 @@ class Criteria:
             joints = by_leg(closed, lambda legs: legs.joints)
             for leg, positions in zip(self._legs, joints, strict=True):
                 inside &= ~beyond_limits(leg.leg, positions).any(axis=1)
-            least = max(self.type1 - ROUNDING, _GRIP)
-            inside &= (drive_margins(closed) >= least).all(axis=1)
+            inside &= (drive_margins(closed) >= max(self.type1 - ROUNDING, _GRIP)).all(axis=1)
             if self._type2 > -np.inf:
                 lines = by_leg(closed, lambda legs: legs.closure.constraint_by_pose)
                 inside &= platform_margin(self.mechanism, lines) >= self._type2 - ROUNDING
