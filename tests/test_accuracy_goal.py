@@ -95,7 +95,7 @@ def test_forecasts_of_the_platform_are_better(kind: str) -> None:
         assert 0.8 < chosen.efficiency <= 1.0
         errors[goal] = pincal.forecast(mechanism, chosen.plan, NOISE).platform_error(over)
     assert errors["platform"].position < errors["parameters"].position
-    with pytest.raises(pincal.MeasurementError, match="no goal 'looks'"):
+    with pytest.raises(pincal.MeasurementError, match="unknown goal: 'looks'"):
         pincal.select_configurations(mechanism, offered, 24, goal="looks")  # type: ignore[arg-type]
 
 

@@ -550,3 +550,5 @@ def test_numbers_beyond_all_machines_are_refused() -> None:
     sensor = pincal.load_mechanism("5R").legs[0].sensors[0]
     with pytest.raises(pincal.MechanismError, match="counts_per_unit"):
         replace(sensor, counts_per_unit=1e-320)
+    with pytest.raises(pincal.MechanismError, match=r"pose 2 .* above 1e\+12"):
+        pincal.inverse("5R", [[0.0, 1.1], [1e300, 0.0]])

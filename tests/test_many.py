@@ -159,10 +159,12 @@ def test_a_line_is_one_table(plan: Path, tmp_path: Path) -> None:
         data = pincal.simulate(machine, truth, pincal.Plan.from_csv(plan, machine), NOISE, number)
         data.measurements.to_csv(line / f"{number}.csv", machine)
     (line / "1.csv").write_text("x [mm]\n1\n", encoding="utf-8")
+    (line / "3.parquet").write_bytes(b"PAR1")
     known = ("--noise-position", "20um", "--noise-reading", "1e-6")
     typed = ("batch", "5R", line, *known, "-o", table, "--results", tmp_path / "results")
     outcome = run(*typed)
     assert outcome.code == 1
+    assert "skipped, since it is no .csv or .xlsx: 3.parquet" in outcome.err
     assert "2 of 3 machines calibrated" in outcome.out.splitlines()[0]
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
     assert "1.csv" in rows[1]["failure"]

@@ -52,7 +52,7 @@ def test_parameters_are_set_by_id() -> None:
         ({"leg_1.ll": 1.0}, r"no parameter 'leg_1.ll'; did you mean 'leg_1.l'"),
         ({"l": 1.0}, r"no parameter 'l'; did you mean 'leg_1.l' or 'leg_2.l' or 'leg_3.l'\?"),
         ({"wholly other.thing": 1.0}, r"no parameter 'wholly other.thing'; ids are leg_1.l, "),
-        ({"leg_9": [1.0]}, r"has no leg 'leg_9'"),
+        ({"leg_9": [1.0]}, r"unknown leg of '3RRR': 'leg_9'"),
         ({"leg_1": {"q": 1.0}}, r"leg_1 has no parameter 'q'"),
         ({"leg_1": [1.0]}, r"leg_1 has 8 parameters, got 1 values"),
         ({"leg_1": 1.0}, r"parameters of leg_1: expected a Sequence or an array; got 1.0"),
@@ -71,12 +71,18 @@ def test_wrong_parameters_are_refused(values: object, said: str) -> None:
     ("change", "said"),
     [
         ({"poses": np.zeros(3)}, r"poses: expected shape \(N, dof\); got shape \(3,\)"),
-        ({"poses": "poses.csv"}, r"poses: expected an array of shape \(N, dof\); got 'poses.csv'"),
-        ({"poses": None}, r"poses: expected an array of shape \(N, dof\); got None"),
+        (
+            {"poses": "poses.csv"},
+            r"poses: expected numbers, an array of shape \(N, dof\); got 'poses.csv'",
+        ),
+        ({"poses": None}, r"poses: expected numbers, an array of shape \(N, dof\); got None"),
         ({"poses": [[1, 2, 3], [4, 5]]}, r"poses: expected numbers, .* got a list"),
         ({"poses": np.zeros((4, 3), complex)}, r"poses: expected numbers, .* type complex128"),
         ({"readings": np.ones((3, 3))}, r"readings: expected shape \(4, n_readings\); got .*3, 3"),
-        ({"readings": None}, r"readings: expected an array of shape \(N, n_readings\); got None"),
+        (
+            {"readings": None},
+            r"readings: expected numbers, an array of shape \(N, n_readings\); got None",
+        ),
         ({"sigma_poses": 1e-4}, r"sigma_poses: expected shape \(4, 3\); got shape \(\)"),
         ({"sigma_readings": np.ones((4, 2))}, r"sigma_readings: .* \(4, 3\); got shape \(4, 2\)"),
         ({"sets": "all"}, r"sets: expected 4 names, one a row; got 'all'"),
@@ -97,7 +103,10 @@ def test_measurements_say_what_they_expect(change: dict[str, object], said: str)
     [
         (lambda: pincal.Noise("1e-4"), "noise of position: expected a number; got '1e-4'"),
         (lambda: pincal.Noise(-1.0), "noise of position is -1.0; expected a standard deviation"),
-        (lambda: pincal.Target("x"), r"offset of a target: expected an array of shape \(3,\)"),
+        (
+            lambda: pincal.Target("x"),
+            r"offset of a target: expected numbers, an array of shape \(3,\)",
+        ),
         (lambda: pincal.Target((1.0, 2.0)), r"offset of a target: .* \(3,\); got shape \(2,\)"),
         (lambda: pincal.Setup(targets=[]), "targets: expected a Mapping; got a list"),
         (lambda: pincal.Setup(targets={"a": (0, 0, 0)}), "targets, 'a': expected a Target; got"),

@@ -363,7 +363,7 @@ def test_grids_that_are_none_are_refused(axes: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("kind", "axes", "message"),
     [
-        ("biggest", [], "unknown kind of workspace 'biggest'"),
+        ("biggest", [], "unknown kind of workspace: 'biggest'"),
         ("total-orientation", [], "needs the orientations"),
         ("constant-orientation", ["phi=0,0.1"], "one orientation; got 2"),
     ],

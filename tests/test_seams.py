@@ -277,5 +277,5 @@ def test_coordinates_of_placements_are_checked() -> None:
     p = {"a": 0.3}
     with pytest.raises(pincal.MechanismError, match=r"takes 2 value\(s\), got \['a'\]"):
         pincal.Placement.of(p, polar="a")
-    with pytest.raises(pincal.MechanismError, match="unknown coordinate 'radius'"):
+    with pytest.raises(pincal.MechanismError, match="unknown coordinate: 'radius'"):
         pincal.Placement.of(p, radius="a")

@@ -12,7 +12,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.text import in_si, plain_number
 from pincal.model import Measurements, Mechanism, Noise, Parameter, Setup, means
-from pincal.model.checks import counted, must_be
+from pincal.model.checks import choice_of, count_of, counted, must_be
 from pincal.model.setup import Systematic
 from pincal.option import option
 from pincal.types import Array, Index
@@ -24,6 +24,7 @@ FOLDS = 5
 
 def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
     """Return the fold of each row, shape (N,); -1 for rows that are in every fit."""
+    choice_of(by, get_args(By), "by", MeasurementError)
     if data.verifying.any():
         return np.where(data.verifying, 0, -1)
     if by == "run":
@@ -38,7 +39,7 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
     for row, (chosen, place) in enumerate(zip(sets, places, strict=True)):
         groups.setdefault(chosen, {}).setdefault(place, []).append(row)
     most = max(len(poses) for poses in groups.values())
-    if not 2 <= folds <= most:
+    if not 2 <= count_of(folds, "folds", MeasurementError) <= most:
         raise MeasurementError(
             f"{counted(most, 'pose')}{' of a set' * bool(data.sets)} cannot be held out in {folds} "
             "folds; expected at least two folds, and a pose in each"
@@ -155,11 +156,7 @@ class Options:
 
     def __post_init__(self) -> None:
         for name, known in _CHOICES.items():
-            if getattr(self, name) not in get_args(known):
-                raise MeasurementError(
-                    f"unknown {name} {getattr(self, name)!r}; expected one of "
-                    f"{', '.join(get_args(known))}"
-                )
+            choice_of(getattr(self, name), get_args(known), name, MeasurementError)
         must_be(self.noise, (Noise, type(None)), "noise", MeasurementError)
         must_be(self.setup, Setup, "setup", MeasurementError)
         if not isinstance(self.folds, int) or self.folds < 0 or self.folds == 1:
@@ -173,7 +170,7 @@ class Options:
                 "need all legs at once; leave out --method per-leg"
             )
         for name in ("fixed", "tied", "terms"):
-            texts = getattr(self, name)
+            texts = must_be(getattr(self, name), Iterable, name, MeasurementError)
             object.__setattr__(self, name, (texts,) if isinstance(texts, str) else tuple(texts))
         object.__setattr__(self, "tolerance", _tolerance(self.tolerance))
         object.__setattr__(self, "priors", _parse_priors(self.priors))
@@ -190,7 +187,8 @@ class Options:
         if unknown := [name for name in given if name not in known]:
             raise MeasurementError(f"no option {unknown[0]!r}; expected some of {', '.join(known)}")
         given = {name: value for name, value in given.items() if value is not None}
-        chosen = cls(**given) if options is None else replace(options, **given)
+        options = must_be(cls() if options is None else options, cls, "options", MeasurementError)
+        chosen = replace(options, **given)
         return replace(chosen, setup=chosen.setup.anywhere(**unknowns))
 
     def priors_of(self, parameters: Sequence[Parameter]) -> dict[str, float]:
@@ -248,8 +246,9 @@ def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any
     if isinstance(priors, Mapping):
         return priors
     by_name: dict[str, str] = {}
-    for text in priors:
-        name, _, sigma = (part.strip() for part in text.partition("="))
+    for text in must_be(priors, Iterable, "priors", MeasurementError):
+        entry = must_be(text, str, "priors", MeasurementError)
+        name, _, sigma = map(str.strip, entry.partition("="))
         if name in by_name:
             raise MeasurementError(f"--priors {name} is said twice; leave out one of them")
         by_name[name] = sigma
@@ -261,7 +260,7 @@ def _tolerance(tolerance: Mapping[str, float] | str) -> Tolerance:
     if isinstance(tolerance, str) and tolerance.strip() == AUTO:
         return AUTO
     by_unit = _parse_tolerance(tolerance) if isinstance(tolerance, str) else tolerance
-    for unit, sigma in by_unit.items():
+    for unit, sigma in must_be(by_unit, Mapping, "tolerance", MeasurementError).items():
         if unit not in ("m", "rad", "1") or not 0.0 < sigma < np.inf:
             raise MeasurementError(
                 f"tolerance {{{unit!r}: {sigma!r}}}: expected standard deviations above 0 of "

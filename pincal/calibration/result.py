@@ -19,6 +19,7 @@ from pincal.design.platform_error import PlatformError
 from pincal.estimation.fit import Outlier
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
+from pincal.kinematics.configurations import check_reached
 from pincal.model import ORIGIN, Measurements, Mechanism, Noise, Plan, Poses
 from pincal.model.parameter import Parameters
 from pincal.types import Array
@@ -260,6 +261,8 @@ class CalibrationResult:
         Raises:
             MechanismError: poses have a wrong shape, or are not finite.
         """
+        if poses is not None:
+            check_reached(self.identified, poses, "the poses")
         return expected_error(self, poses)
 
     @property

@@ -23,6 +23,7 @@ from pincal.design.planning import with_reading_noise
 from pincal.design.simulate import ERROR
 from pincal.files.journal import FAILURE, Row, RowFile
 from pincal.files.measurements import read_poses
+from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show.many import HistoryPage, batch_lines, montecarlo_lines, row_columns, row_of_result
 from pincal.words.numbers import amount
@@ -144,8 +145,11 @@ def batch(
     code 1 if a machine has no result, or a bad one.
     """
     mechanism = load_mechanism(mech)
-    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".csv", ".xlsx"))
-    if not (files := [path for path in files if path.resolve() != output.resolve()]):
+    in_folder = sorted(path for path in folder.glob("[!.]*") if path.resolve() != output.resolve())
+    files = [path for path in in_folder if path.suffix.lower() in (".csv", ".xlsx")]
+    if skipped := [path.name for path in in_folder if path.is_file() and path not in files]:
+        warn(f"skipped, since it is no .csv or .xlsx: {listed(skipped)}")
+    if not files:
         raise FileError(f"{folder} has no tables; expected a .csv or .xlsx for each machine")
     items = [(path.name, sha256(path.read_bytes()).hexdigest()[:12]) for path in files]
     poses = None if (over := running.workspace) is None else read_poses(over, mechanism)

@@ -39,7 +39,7 @@ from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at, nearby
 from pincal.kinematics.derivatives import Demand
 from pincal.model import ROW, Measurements, Mechanism, Noise, Plan, Setup
-from pincal.model.checks import described
+from pincal.model.checks import must_be
 from pincal.types import Array
 
 
@@ -69,12 +69,10 @@ def _measured_names(
 ) -> tuple[str, ...]:
     """Check and return the names of measured quantities; by default all of the setup's."""
     offered = (*mechanism.platform.freedoms, *setup.columns(mechanism))
-    if measured is not None and not isinstance(measured, Iterable):
-        raise MeasurementError(
-            f"measured: expected names of {', '.join(offered)}; got {described(measured)}"
-        )
     chosen = setup.measured(mechanism) if measured is None else measured
-    names = setup.quantities(mechanism.platform, chosen)
+    named = must_be(chosen, Iterable, "measured", MeasurementError)
+    texts = [must_be(name, str, "a measured quantity", MeasurementError) for name in named]
+    names = setup.quantities(mechanism.platform, texts)
     if unknown := [name for name in names if name not in offered]:
         raise MeasurementError(
             f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "
@@ -224,6 +222,7 @@ class Forecast:
 
         Where frames are not measured, it is the error after their best fit.
         """
+        check_reached(self.mechanism, poses, "the poses")
         return platform_error(self.mechanism, self.covariance, poses, self.lost, self.frames)
 
     def poses_for(self, accuracy: float, poses: Plan | Array) -> float:
@@ -273,7 +272,7 @@ def forecast(
         MechanismError: poses have a wrong shape, or are not finite.
     """
     mechanism = as_mechanism(mechanism)
-    noise, setup = as_noise(noise), read_setup(setup or Setup())
+    noise, setup = as_noise(noise), read_setup(Setup() if setup is None else setup)
     plan = as_plan(mechanism, poses)
     setup = setup.of_rows(plan.contacts)
     plan = touching(mechanism, plan.rows(~plan.verifying), setup)  # rows that a fit uses

@@ -9,12 +9,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.kinematics.configurations import (
-    as_plan,
-    inverse,
-    joints_at,
-    planned_influences,
-)
+from pincal.kinematics.configurations import as_plan, inverse, joints_at, planned_influences
 from pincal.model import EVERY_LEG, ROW, TO, VERIFY, Mechanism, Plan
 from pincal.model.checks import count_of
 from pincal.types import Array, Mask

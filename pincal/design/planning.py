@@ -129,7 +129,7 @@ def select(
             ", ".join(mechanism.influences),
         )
         mechanism = mechanism.at_reference
-    setup = read_setup(setup or Setup())
+    setup = read_setup(Setup() if setup is None else setup)
     if choice.distances:  # they hold the information of positions in an unknown frame
         setup = setup.anywhere(frame=True)
         measured = mechanism.platform.freedoms[: mechanism.platform.lengths]

@@ -53,7 +53,7 @@ from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.configurations import as_plan, check_reached, inverse, legs_at
 from pincal.kinematics.derivatives import leg_demands_at
 from pincal.model import EVERY_LEG, Mechanism, Noise, Plan, Setup
-from pincal.model.checks import count_of, described, generator_of
+from pincal.model.checks import choice_of, count_of, generator_of
 from pincal.symmetry.elements import IDENTITY, Element
 from pincal.types import Array, Mask
 
@@ -242,9 +242,7 @@ def select_poses(
     """
     mechanism = as_mechanism(mechanism).at_reference
     count_of(count, "count", MeasurementError)
-    if not isinstance(protocol, str) or protocol not in get_args(Protocol):
-        known = ", ".join(get_args(Protocol))
-        raise MeasurementError(f"no protocol {described(protocol)}; expected one of {known}")
+    choice_of(protocol, get_args(Protocol), "protocol", MeasurementError)
     for leg in mechanism.legs:
         equations, readings = mechanism.platform.equations(leg), len(leg.sensors)
         if equations > readings:
@@ -344,11 +342,10 @@ def select_configurations(
     mechanism = as_mechanism(mechanism).at_reference
     count_of(count, "count", MeasurementError, 1)
     noise, rng, starts = _search_options(**options)
-    if goal not in get_args(Goal):
-        raise MeasurementError(f"no goal {goal!r}; expected one of {', '.join(get_args(Goal))}")
+    choice_of(goal, get_args(Goal), "goal", MeasurementError)
     plan = as_plan(mechanism, candidates)
     originals = orbits.distinct(mechanism.platform, plan.poses, plan.readings)
-    setup = read_setup(setup or Setup())
+    setup = read_setup(Setup() if setup is None else setup)
     plan = Plan(plan.poses, readings=plan.readings, contacts=plan.contacts).rows(originals)
     setup = setup.of_rows(plan.contacts)
     plan = touching(mechanism, plan, setup)

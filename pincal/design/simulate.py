@@ -29,7 +29,7 @@ from pincal.kinematics.configurations import as_plan, command, planned_influence
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import by_name, influences_of
 from pincal.model import Measurements, Mechanism, Noise, Plan, Poses, Setup
-from pincal.model.checks import generator_of, number_of
+from pincal.model.checks import counted, generator_of, number_of
 from pincal.types import Array, Index
 from pincal.words.numbers import Units, amount, listed
 
@@ -116,7 +116,7 @@ def simulate(
             leg cannot reach the home pose.
     """
     mechanism, truth = as_mechanism(mechanism), as_mechanism(truth)
-    setup, noise = read_setup(setup or Setup()), as_noise(noise)
+    setup, noise = read_setup(Setup() if setup is None else setup), as_noise(noise)
     plan, rng = read_poses(plan, mechanism, setup=setup), generator_of(seed, MeasurementError)
     count, platform, setup = len(plan.poses), mechanism.platform, setup.of_rows(plan.contacts)
     touched = setup.only_touched
@@ -241,6 +241,11 @@ def accuracy(model: GivenMechanism, truth: GivenMechanism, poses: Plan | Poses) 
     model, truth = as_mechanism(model), as_mechanism(truth)
     errors = sizes(model.platform.units, platform_errors(model, truth, poses))
     reached = np.isfinite(errors).all(axis=1)
+    if not reached.any():
+        raise MeasurementError(
+            f"none of {counted(len(errors), 'pose')} is in reach of {model.name!r} and of the true "
+            "machine, so there is no mean; check the poses' units and frame"
+        )
     worst, lost = float(errors[reached, 0].max(initial=0.0)), int((~reached).sum())
     return Accuracy(*root_mean_squares(errors), worst, len(errors), lost)
 

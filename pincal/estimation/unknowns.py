@@ -118,9 +118,7 @@ class ExternalUnknowns:
         stems = [("tracker.", "m"), ("tracker.r", "rad")]
         stems += [(f"{owner(name)}.", "m") for name in targets] + [("target.r", "rad")]
         every = [(f"{stem}{axis}", unit) for stem, unit in stems for axis in "xyz"]
-        every += [
-            (f"{name}.{c}", unit) for name in setup.features for c, unit in COORDINATES.items()
-        ]
+        every += [(f"{name}.{c}", u) for name in setup.features for c, u in COORDINATES.items()]
         every += [(parameter.id, parameter.unit) for parameter, _ in devices.values()]
         self.names = tuple(every[place][0] for place in self.free)
         """Ids of the unknowns."""

@@ -7,7 +7,7 @@ signs. Camera axes point right, down and ahead; (0, 0) is the centre of the uppe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -63,11 +63,10 @@ class Lens:
             object.__setattr__(self, name, value)
 
         error = MeasurementError
-        size = tuple(count_of(side, "size of an image [px]", error, 1) for side in self.size)
+        sides = must_be(self.size, Iterable, "size of an image [px]", error)
+        size = tuple(count_of(side, "a side of an image [px]", error, 1) for side in sides)
         if len(size) != 2:
-            raise MeasurementError(
-                f"size of an image is {self.size!r}; expected width and height in px"
-            )
+            raise error(f"size of an image is {self.size!r}; expected width and height in px")
         focal = _USUAL_FOCAL * max(size) if self.focal is None else self.focal
         pair = (focal, focal) if np.ndim(focal) == 0 else focal
         f = array_of(pair, (2,), "focal length [px]", error)

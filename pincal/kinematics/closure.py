@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pincal.errors import MechanismError
 from pincal.kinematics.batches import (
     inverse_left_jacobian,
     left_null,
@@ -31,6 +32,7 @@ from pincal.kinematics.batches import (
 from pincal.kinematics.chain import Chain, PlatformPoint, leg_chain, motion, platform_point
 from pincal.kinematics.forest import Motion
 from pincal.model import Leg, Mechanism, Platform
+from pincal.model.checks import array_of
 from pincal.model.sensor import SensorLaw, law_of_deformations
 from pincal.types import Array
 
@@ -241,7 +243,8 @@ class LegClosure:
     ) -> None:
         self.leg = leg
         self.platform = platform
-        self.parameters = leg.nominal if parameters is None else np.asarray(parameters, float)
+        values, n = leg.nominal if parameters is None else parameters, len(leg.parameters)
+        self.parameters = array_of(values, (n,), f"parameters of {leg.name}", MechanismError)
         self.end, met = end or 0, leg.every_end[end or 0]
         self.rows = list(platform.closing(met))
         self.axes = [row - 3 for row in self.rows if row >= 3]

@@ -24,7 +24,7 @@ from pincal.kinematics.derivatives import Demand, leg_demands_at, nearest_closur
 from pincal.kinematics.forward import LOADS, forward, reading_range, with_loads
 from pincal.kinematics.influences import Influences, influence_columns, influences_of
 from pincal.model import Leg, Mechanism, Plan, Poses
-from pincal.model.checks import ROUNDING, ROWS, array_of
+from pincal.model.checks import ROUNDING, ROWS, array_of, must_be
 from pincal.types import Array, Mask
 
 _CLOSES = 0.01  # largest gap of a leg at measured readings and poses, over its size
@@ -88,6 +88,7 @@ def inverse(
     placed = mechanism.platform.matrices(poses)
     columns = influence_columns(mechanism, influences, len(placed))
     if near is not None:
+        must_be(near, Mapping, "near", MechanismError)
         near = {
             name: array_of(near.get(name), (len(placed), n), f"joints of {name}", MechanismError)
             for name, n in ((leg.name, len(leg.moving)) for leg in mechanism.legs)

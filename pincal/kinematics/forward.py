@@ -111,9 +111,8 @@ class ForwardSolution:
     def __repr__(self) -> str:
         gap = np.max(self.gap, initial=0.0, where=np.isfinite(self.gap))
         apart = f"; readings contradict, legs stay up to {gap:.3g} m open" * bool(gap > _TOLD)
-        return (
-            f"ForwardSolution: {np.count_nonzero(self.converged)} of {len(self.poses)} poses{apart}"
-        )
+        count = np.count_nonzero(self.converged)
+        return f"ForwardSolution: {count} of {len(self.poses)} poses{apart}"
 
     def __str__(self) -> str:
         """Return a page with the number of rows without a pose, by reason."""
@@ -152,9 +151,8 @@ def forward(
     readings = array_of(readings, ("N", len(names)), label, MechanismError)
     finite_rows(readings, "reading", MechanismError)
     platform, tolerance = mechanism.platform, ROUNDING * max(1.0, mechanism.size)
-    start = platform.matrices(
-        np.tile(platform.home, (len(readings), 1)) if guess is None else guess
-    )
+    homes = np.tile(platform.home, (len(readings), 1))
+    start = platform.matrices(homes if guess is None else guess)
     if len(start) != len(readings):
         raise MechanismError(f"{len(readings)} readings, but {len(start)} guesses")
     columns = influence_columns(mechanism, influences, len(readings))

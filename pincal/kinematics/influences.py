@@ -4,6 +4,7 @@ The side from which a joint approaches follows from the order of rows if no colu
 """
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from pincal.kinematics.chain import body_chain
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.derivatives import nearest_closure
 from pincal.model import Load, Measurements, Mechanism, Plan
-from pincal.model.checks import array_of
+from pincal.model.checks import array_of, must_be
 from pincal.model.terms import APPROACH
 from pincal.types import Array
 
@@ -33,16 +34,15 @@ def influence_columns(mechanism: Mechanism, measured: Influences | None, count: 
     names = mechanism.influences
     if isinstance(measured, np.ndarray):
         return array_of(measured, (count, len(names)), "influences", MeasurementError)
-    measured = measured or {}
-    if unknown := [name for name in measured if name not in names]:
+    named: Mapping[str, object] = must_be(measured or {}, Mapping, "influences", MeasurementError)
+    if unknown := [name for name in named if name not in names]:
         raise MeasurementError(
             f"no term of {mechanism.name!r} depends on {unknown[0]!r}; its influences: "
             f"{', '.join(names) or 'none'}"
         )
     columns = np.full((count, len(names)), np.nan)
-    for name in measured:
-        values = np.asarray(measured[name])
-        values = np.full(count, values) if values.ndim == 0 else values
+    for name, value in named.items():
+        values = [value] * count if isinstance(value, Real) else value
         checked = array_of(values, (count,), f"influence {name!r}", MeasurementError)
         columns[:, names.index(name)] = checked
     if np.isinf(columns).any():

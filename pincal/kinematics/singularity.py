@@ -85,9 +85,8 @@ def _grip(closure: Closure) -> Array:
         return np.ones(len(closure.gap))
     if closure.drive.shape[2] > 1:
         speed = np.linalg.norm(closure.active, axis=1, keepdims=True)
-        return np.asarray(
-            np.linalg.svd(np.nan_to_num(closure.drive / speed), compute_uv=False)[:, -1]
-        )
+        relative = np.nan_to_num(closure.drive / speed)
+        return np.asarray(np.linalg.svd(relative, compute_uv=False)[:, -1])
     leg, lever = closure.leg.leg, np.linalg.norm(closure.active[:, :, 0], axis=1)
     (active,) = leg.active
     if revolute := [i for i in range(active + 1, len(leg.moving)) if leg.moving[i].turns]:

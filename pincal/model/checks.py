@@ -67,8 +67,6 @@ def array_of(
     array of numbers of that shape raise an error of the given type, headed by ``name``.
     """
     expected = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
-    if isinstance(values, str | bytes | Mapping) or values is None:
-        raise error_type(f"{name}: expected an array of shape {expected}; got {described(values)}")
     try:
         array = np.asarray(values)
         if array.dtype.kind not in "fiub":
@@ -76,7 +74,7 @@ def array_of(
         array = array.astype(np.float64)
     except (TypeError, ValueError) as fault:
         raise error_type(
-            f"{name}: expected numbers, shape {expected}; got {described(values)}"
+            f"{name}: expected numbers, an array of shape {expected}; got {described(values)}"
         ) from fault
     if array.ndim != len(shape) or any(
         isinstance(size, int) and size != given_size
@@ -108,11 +106,24 @@ def number_of(value: Any, name: str, error_type: type[PincalError]) -> float:
 
 
 def finite_rows(rows: Array, noun: str, error_type: type[PincalError]) -> Array:
-    """Return rows (N, k); raise an error of the given type if a number in them is not finite."""
-    if not np.isfinite(rows).all():
-        row = int(np.argmin(np.isfinite(rows).all(axis=1)))
-        raise error_type(f"{noun} {row + 1} has a number that is not finite")
+    """Return rows (N, k); raise an error of the given type if a number is not finite or too large.
+
+    Squares of numbers beyond ``LARGEST`` overflow.
+    """
+    usable = np.abs(rows) <= LARGEST
+    if not usable.all():
+        row = int(np.argmin(usable.all(axis=1)))
+        raise error_type(f"{noun} {row + 1} has a number that is not finite, or above {LARGEST:g}")
     return rows
+
+
+def choice_of(value: Any, choices: Iterable[str], name: str, error_type: type[PincalError]) -> Any:
+    """Return a value that is one of some texts; raise an error of the given type for others."""
+    if not isinstance(value, str) or value not in choices:
+        raise error_type(
+            f"unknown {name}: {described(value)}; expected one of {', '.join(choices)}"
+        )
+    return value
 
 
 def count_of(

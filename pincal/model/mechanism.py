@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MechanismError
-from pincal.model.checks import counted, must_be, one_line
+from pincal.model.checks import choice_of, counted, must_be, one_line
 from pincal.model.consistency import check_mechanism
 from pincal.model.leg import Leg
 from pincal.model.parameter import Parameter, Parameters, labels_of
@@ -173,12 +173,8 @@ class Mechanism:
 
     def leg(self, name: str) -> Leg:
         """Return a leg by name; raise MechanismError if there is none."""
-        for leg in self.legs:
-            if leg.name == name:
-                return leg
-        raise MechanismError(
-            f"mechanism {self.name!r} has no leg {name!r}; it has {', '.join(self.leg_names)}"
-        )
+        choice_of(name, self.leg_names, f"leg of {self.name!r}", MechanismError)
+        return self.legs[self.leg_names.index(name)]
 
     def with_parameters(
         self, values: Mapping[str, float | Mapping[str, float] | Sequence[float] | Array]

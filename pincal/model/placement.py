@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.model.checks import EXACT, one_line, triple
+from pincal.model.checks import EXACT, choice_of, one_line, triple
 from pincal.model.platform import yaw_pitch_roll
 from pincal.types import Array
 
@@ -74,10 +74,7 @@ class Coordinate:
     values: tuple[Value, ...]
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise MechanismError(
-                f"unknown coordinate {self.kind!r}; expected one of {', '.join(KINDS)}"
-            )
+        choice_of(self.kind, KINDS, "coordinate", MechanismError)
         if len(self.values) != len(KINDS[self.kind]):
             raise MechanismError(
                 f"coordinate {self.kind!r} takes {len(KINDS[self.kind])} value(s), "

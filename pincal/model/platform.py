@@ -14,15 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError, MechanismError
-from pincal.model.checks import (
-    array_of,
-    finite_rows,
-    must_be,
-    names_of,
-    one_line,
-    triple,
-    wrapped,
-)
+from pincal.model.checks import array_of, finite_rows, must_be, names_of, one_line, triple, wrapped
 from pincal.types import Array
 
 if TYPE_CHECKING:
@@ -81,9 +73,10 @@ class Platform:
     def __post_init__(self) -> None:
         kind = must_be(self.kind, str, "a platform's kind", MechanismError)
         twist: tuple[str, ...] = KINDS.get(kind, ())
-        if twist and self.twist and tuple(self.twist) != twist:
+        given = must_be(self.twist, Sequence, f"freedoms of a {kind!r} platform", MechanismError)
+        if twist and given and tuple(given) != twist:
             raise MechanismError(f"the kind {kind!r} has other freedoms; choose another name")
-        object.__setattr__(self, "twist", twist or _own_twist(kind, self.twist))
+        object.__setattr__(self, "twist", twist or _own_twist(kind, given))
         home = array_of(self.home, ("dof",), "the home pose", MechanismError).tolist()
         object.__setattr__(self, "home", tuple(home))
         if len(home) != self.dof:
@@ -266,9 +259,9 @@ class Platform:
         return self.transforms(np.array([self.home]))
 
 
-def _own_twist(kind: str, twist: object) -> tuple[str, ...]:
+def _own_twist(kind: str, twist: Sequence[str]) -> tuple[str, ...]:
     """Return the rows of the twist of a user-defined platform kind, checked."""
-    if twist == () and kind not in KINDS:
+    if not twist and kind not in KINDS:
         raise MechanismError(
             f"unknown platform kind {kind!r}; expected one of {', '.join(KINDS)}, or the rows of "
             "the twist in which yours moves"
@@ -276,8 +269,7 @@ def _own_twist(kind: str, twist: object) -> tuple[str, ...]:
     if not (kind and kind.isprintable() and len(kind) <= 64):
         raise MechanismError(f"platform kind {kind!r}: expected 1 to 64 printable characters")
     label = f"freedoms of a {kind!r} platform"
-    count = len(must_be(twist, Sequence, label, MechanismError))
-    rows = names_of(twist, count, label, MechanismError)
+    rows = names_of(twist, len(twist), label, MechanismError)
     lengths = tuple(name for name in rows if not name.startswith("r"))
     expected = ""
     if rows != tuple(name for name in TWIST if name in rows):

@@ -15,7 +15,7 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MeasurementError
-from pincal.model.checks import check_sizes, listed, must_be, one_line, set_point
+from pincal.model.checks import check_sizes, choice_of, listed, must_be, one_line, set_point
 from pincal.model.consistency import RESERVED
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter
@@ -123,19 +123,16 @@ class Setup:
             for name, entry in named.items():
                 must_be(name, str, f"a name in {group}", MeasurementError)
                 must_be(entry, kind, f"{group}, {name!r}", MeasurementError)
-        if self.mark not in {ORIGIN, *self.targets}:
-            raise MeasurementError(f"mark is {self.mark!r}; expected one of {listed(self.targets)}")
+        choice_of(self.mark, {ORIGIN: 0, **self.targets}, "mark", MeasurementError)
         object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
         for relation in self.relations(3):
-            if relation.target not in self.targets:
-                raise MeasurementError(
-                    f"{relation.name!r} is measured to an unknown target {relation.target!r}; "
-                    f"expected one of {', '.join(self.targets)}"
-                )
+            label = f"target to which {relation.name!r} is measured"
+            choice_of(relation.target, self.targets, label, MeasurementError)
         must_be(self.corners, (str, type(None)), "corners", MeasurementError)
         must_be(self.tracker, (Tracker, type(None)), "tracker", MeasurementError)
         must_be(self.systematic, Systematic, "systematic", MeasurementError)
-        object.__setattr__(self, "instruments", tuple(self.instruments))
+        devices = must_be(self.instruments, Iterable, "instruments", MeasurementError)
+        object.__setattr__(self, "instruments", tuple(devices))
         names = {"tracker", "target", *self.targets}
         if shared := names & {*self.contacts, *self.touched}:
             raise MeasurementError(f"{min(shared)!r} is a contact and a target; rename one of them")

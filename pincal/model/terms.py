@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.model.checks import check_sizes, count_of, number_of, set_point
+from pincal.model.checks import array_of, check_sizes, count_of, number_of, set_point
 from pincal.types import Array, Point
 
 APPROACH = "approach"
@@ -188,7 +188,9 @@ class Cables:
     """Largest tension, [N]."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.least < self.most:
+        limits = self.least, self.most
+        least, most = array_of(limits, (2,), "limits of tensions [N]", MechanismError)
+        if not 0.0 <= least < most:
             raise MechanismError(
                 f"limits of tensions are {self.least!r} and {self.most!r} [N]; expected 'least' of "
                 "0 or more, and 'most' above it"

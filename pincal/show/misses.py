@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 from pincal.calibration.promise import apart, errors_inside, measured_plan
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import ResidualGroup
-from pincal.design.platform_error import (
-    SAMPLES,
-    PlatformError,
-    root_mean_squares,
-    seen_of,
-    sizes,
-)
+from pincal.design.platform_error import SAMPLES, PlatformError, root_mean_squares, seen_of, sizes
 from pincal.errors import WorkspaceError
 from pincal.estimation.unknowns import External
 from pincal.instruments.camera import Camera

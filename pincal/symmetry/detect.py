@@ -170,9 +170,7 @@ def _group(mechanism: Mechanism, tolerance: float) -> SymmetryGroup:
         closed = largest_closed(product_table(elements, permutations))
         elements = exact([elements[i] for i in closed], images.centres, images.size)
         permutations = [images.permutation(element, tolerance) for element in elements]
-        chosen = [
-            i for i, permutation in enumerate(permutations) if permutation
-        ]  # at least the identity
+        chosen = [i for i, legs in enumerate(permutations) if legs]  # at least the identity
         closes = len(chosen) == len(elements)
         if closes and (product_table(elements, permutations) >= 0).all():
             break

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import SymmetryError
 from pincal.model import Platform, Poses
-from pincal.model.checks import EXACT, ROUNDING, count_of
+from pincal.model.checks import EXACT, ROUNDING, array_of, count_of, finite_rows, number_of
 from pincal.types import Array, Index
 
 SAME = EXACT  # largest difference by rounding, of angles [rad] and of positions over their extent
@@ -60,6 +60,7 @@ class Element:
     """Whether the isometries are reflections."""
 
     def __init__(self, angle: float, reflection: bool = False) -> None:
+        angle = number_of(angle, "the angle of an element", SymmetryError)
         cos, sin, side = np.cos(angle), np.sin(angle), -1.0 if reflection else 1.0
         turn = np.array([[cos, -side * sin, 0.0], [sin, side * cos, 0.0], [0.0, 0.0, 1.0]])
         self.base = self.platform = isometry(turn)
@@ -72,6 +73,8 @@ class Element:
         Raises:
             SymmetryError: only one isometry is a reflection, which would carry poses to no poses.
         """
+        bodies = array_of((base, platform), (2, 4, 4), "both isometries", SymmetryError)
+        base, platform = finite_rows(bodies.reshape(8, 4), "row", SymmetryError).reshape(2, 4, 4)
         reflection = bool(np.linalg.det(base[:3, :3]) < 0.0)
         if reflection != (np.linalg.det(platform[:3, :3]) < 0.0):
             raise SymmetryError(
@@ -86,7 +89,7 @@ class Element:
     @staticmethod
     def mirror(azimuth: float) -> Element:
         """Return the reflection through the plane that contains z at an azimuth, [rad]."""
-        return Element(wrapped(2 * azimuth), reflection=True)
+        return Element(wrapped(2 * number_of(azimuth, "azimuth", SymmetryError)), reflection=True)
 
     @property
     def matrix(self) -> Array:
@@ -196,6 +199,7 @@ def dihedral(n: int, azimuth: float = 0.0) -> tuple[Element, ...]:
         n: Number of rotations, and of mirrors.
         azimuth: Azimuth of the first mirror plane, [rad]; the others follow in steps of π / n.
     """
+    azimuth = number_of(azimuth, "azimuth", SymmetryError)
     return cyclic(n) + tuple(Element.mirror(azimuth + np.pi * k / n) for k in range(n))
 
 

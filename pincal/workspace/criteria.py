@@ -31,7 +31,7 @@ from pincal.kinematics.singularity import (
     rods_margin,
 )
 from pincal.model import WAYS, Mechanism, Platform, Poses
-from pincal.model.checks import EXACT, ROUNDING, must_be, wrapped
+from pincal.model.checks import EXACT, ROUNDING, must_be, number_of, wrapped
 from pincal.model.consistency import home_gap
 from pincal.model.platform import rotation_of
 from pincal.option import option
@@ -166,9 +166,11 @@ class Margins:
 
     def __post_init__(self) -> None:
         for name, value in (("type-1", self.type1), ("type-2", self.type2)):
-            ignored = name == "type-2" and value == -np.inf
-            if value is not None and not ignored and not 0.0 <= value < 1.0:
-                raise WorkspaceError(f"the {name} margin is {value:g}; expected 0 to 1")
+            margin = (
+                0.0 if value is None else number_of(value, f"the {name} margin", WorkspaceError)
+            )
+            if not 0.0 <= margin < 1.0 and (name, margin) != ("type-2", -np.inf):
+                raise WorkspaceError(f"the {name} margin is {margin:g}; expected 0 to 1")
 
     @classmethod
     def none(cls) -> Margins:
@@ -283,7 +285,7 @@ class Criteria:
 
 def as_margins(least: Margins | None) -> Margins:
     """Return the margins, or the default ones for None."""
-    return must_be(least or Margins(), Margins, "margins", WorkspaceError)
+    return must_be(Margins() if least is None else least, Margins, "margins", WorkspaceError)
 
 
 @lru_cache(maxsize=16)

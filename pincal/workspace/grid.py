@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.model import Mechanism
-from pincal.model.checks import ALIKE
+from pincal.model.checks import ALIKE, must_be
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import SAME
 from pincal.types import Array, Mask
@@ -108,7 +108,7 @@ class Axis:
         """Return an axis, or that of ``NAME [UNIT]=LOW:HIGH:STEP`` or ``NAME [UNIT]=VALUE,…``."""
         if isinstance(text, Axis):
             return text
-        match = _AXIS.match(text)
+        match = _AXIS.match(must_be(text, str, "an axis", WorkspaceError))
         if not match:
             raise WorkspaceError(
                 f"{text!r} is not an axis; expected for example 'x [mm]=-500:500:10' "
@@ -140,7 +140,8 @@ class Grid:
     axes: tuple[Axis, ...]
 
     def __post_init__(self) -> None:
-        names = [axis.name for axis in self.axes]
+        axes = must_be(self.axes, Iterable, "axes of a grid", WorkspaceError)
+        names = [must_be(axis, Axis, "an axis", WorkspaceError).name for axis in axes]
         if names[:2] not in (["x", "y"], ["radius", "bearing"]) or names[2:] not in ([], ["z"]):
             raise WorkspaceError(
                 "a grid of positions has the axes x, y (or radius, bearing) and, in space, z, "

@@ -19,7 +19,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import write_table
 from pincal.kinematics.singularity import margins
 from pincal.model import Mechanism
-from pincal.model.checks import ROUNDING, described
+from pincal.model.checks import ROUNDING, choice_of, must_be
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element, applied
 from pincal.types import Array, Mask
@@ -231,9 +231,7 @@ def compute_workspace(
     """
     mechanism = as_mechanism(mechanism)
     orientations = _orientations(mechanism, kind, orientations)
-    if not isinstance(grid, Grid):
-        raise WorkspaceError(f"grid: expected a Grid; got {described(grid)}")
-    _check_grid(mechanism, grid)
+    _check_grid(mechanism, must_be(grid, Grid, "grid", WorkspaceError))
     refuse_readings(mechanism)
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING).elements
@@ -271,9 +269,9 @@ def _orientations(
 ) -> Orientations:
     """Return the orientations to test for a kind of workspace, checked."""
     platform = mechanism.platform
-    if kind not in KINDS:
-        raise WorkspaceError(f"unknown kind of workspace {kind!r}; expected {', '.join(KINDS)}")
+    choice_of(kind, KINDS, "kind of workspace", WorkspaceError)
     if orientations is not None:
+        must_be(orientations, Orientations, "orientations", WorkspaceError)
         if kind == "constant-orientation" and len(orientations) != 1:
             raise WorkspaceError(
                 f"a constant-orientation workspace has one orientation; got {len(orientations)}. "

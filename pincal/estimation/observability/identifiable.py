@@ -24,7 +24,7 @@ from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.configurations import Legs, legs_at, nearby
 from pincal.model import Leg, Mechanism, Plan
-from pincal.model.checks import ROUNDING
+from pincal.model.checks import ROUNDING, array_of
 from pincal.types import Array, Index
 from pincal.words.wording import group_in_words
 
@@ -61,6 +61,7 @@ def indices(C: Array) -> Indices:
         >>> round(float(indices.O2), 6)  # least over greatest singular value
         0.25
     """
+    C = array_of(C, ("m", "n"), "an identification Jacobian", ObservabilityError)
     m, n = C.shape
     s = np.linalg.svd(C, compute_uv=False)
     if m < n or s[-1] == 0.0:

@@ -17,6 +17,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import command
 from pincal.kinematics.forward import forward
 from pincal.model import EVERY_LEG, ORIGIN, VERIFY, Mechanism, Plan
+from pincal.model.checks import LARGEST, number_of
 from pincal.show.misses import by_row
 from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
 from pincal.show.view.bodies import Body, body
@@ -191,7 +192,7 @@ def _driven(
             f"the identified {identified.name!r} has other legs or parameters than "
             f"{mechanism.name!r}; expected a calibration of the mechanism that is viewed"
         )
-    if not (np.isfinite(magnify) and magnify > 0.0):
+    if not 0.0 < number_of(magnify, "magnify", MeasurementError) <= LARGEST:
         raise MeasurementError(f"errors magnified by {magnify}; expected a factor above 0")
     magnified = {
         leg.name: leg.nominal + magnify * (identified.leg(leg.name).nominal - leg.nominal)
