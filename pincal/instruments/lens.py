@@ -66,7 +66,7 @@ class Lens:
         sides = must_be(self.size, Iterable, "size of an image [px]", error)
         size = tuple(count_of(side, "a side of an image [px]", error, 1) for side in sides)
         if len(size) != 2:
-            raise error(f"size of an image is {self.size!r}; expected width and height in px")
+            raise MeasurementError(f"an image's size is {self.size!r}; expected width, height [px]")
         focal = _USUAL_FOCAL * max(size) if self.focal is None else self.focal
         pair = (focal, focal) if np.ndim(focal) == 0 else focal
         f = array_of(pair, (2,), "focal length [px]", error)
