@@ -73,10 +73,10 @@ class Platform:
     def __post_init__(self) -> None:
         kind = must_be(self.kind, str, "a platform's kind", MechanismError)
         twist: tuple[str, ...] = KINDS.get(kind, ())
-        given = must_be(self.twist, Sequence, f"freedoms of a {kind!r} platform", MechanismError)
-        if twist and given and tuple(given) != twist:
+        names = must_be(self.twist, Sequence, f"freedoms of a {kind!r} platform", MechanismError)
+        if twist and names and tuple(names) != twist:
             raise MechanismError(f"the kind {kind!r} has other freedoms; choose another name")
-        object.__setattr__(self, "twist", twist or _own_twist(kind, given))
+        object.__setattr__(self, "twist", twist or _own_twist(kind, names))
         home = array_of(self.home, ("dof",), "the home pose", MechanismError).tolist()
         object.__setattr__(self, "home", tuple(home))
         if len(home) != self.dof:
