@@ -15,7 +15,7 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 262,
     "architectures": 616,
-    "calibration": 6_770,
+    "calibration": 6_792,
     "cli": 2_670,
     "design": 2_537,
     "estimation": 4_417,
@@ -26,7 +26,7 @@ LINES = {
     "model": 3_552,
     "show": 3_909,
     "symmetry": 1_191,
-    "words": 958,
+    "words": 962,
     "workspace": 1_445,
 }
 """Most lines of each room; a room that is not listed may have none."""

@@ -216,6 +216,7 @@ CLAUSES: dict[str, tuple[dict[str, Any], str]] = {
     "sign-of-column": ({"column": "a"}, "a has the opposite sign"),
     "slip": ({"quantity": "reading of leg_1"}, "the reading of leg_1 alone is wrong"),
     "columns-exchanged": ({"columns": ("a", "b")}, "a and b are swapped"),
+    "columns-coupled": ({"columns": ("a", "b"), "sign": -1.0}, "a turns by its reading less b"),
     "legs-exchanged": ({"order": (("leg_1", "leg_2"), ("leg_2", "leg_1"))}, "legs are swapped: column leg_2 fits leg_1 and column leg_1 fits leg_2"),
     "unit": ({"units": (("positions", "m", "mm"), ("readings", "rad", "deg"))}, "the positions are in mm under a metre header (1000 times too large) and the readings are in degrees under a radian header (57.3 times too large)"),
     "left-handed-frame": ({"axis": "xy", "orientations_right": True}, "x and y are swapped and the orientations are right"),

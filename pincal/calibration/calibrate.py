@@ -301,6 +301,13 @@ def remedies(calibration: Calibration) -> Iterator[Remedy]:
             return
 
 
+def cures_among(tries: Sequence[Remedy]) -> list[Remedy]:
+    """Return remedies that work, else the simplest that mend a fault; the model may lack a term."""
+    mends = [r for r in tries if r.findings and r.result is not None and r.result.converged]
+    simplest = [r for r in mends if r.calibration.options == mends[0].calibration.options]
+    return [remedy for remedy in tries if remedy.works] or simplest
+
+
 def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
     setup = calibration.options.setup
     framed, placed = setup.anywhere(frame=True), setup.anywhere(frame=True, target=True)

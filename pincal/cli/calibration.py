@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from pincal import MeasurementError, Measurements, Mechanism, Noise, Options, Setup, load_mechanism
-from pincal.calibration.calibrate import Remedy, explained, prepared, remedies, run
+from pincal.calibration.calibrate import Remedy, cures_among, explained, prepared, remedies, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO, By
 from pincal.calibration.result_files import REPORT, RESULT_FILES
@@ -206,8 +206,8 @@ def doctor(
 
     Units, signs, column order, zeros, frames, shifted logs and bad rows are corrected one at a
     time, the likeliest first, each tested by a full calibration, until one converges and nothing
-    contradicts it, not even held-out rows. Other numeric columns are copied to CORRECTED.csv. The
-    exit code is 1 if nothing works, or if several corrections work equally well.
+    contradicts it. Other numeric columns are copied to CORRECTED.csv. The exit code is 1 if nothing
+    works, or if several corrections work equally well.
     """
     mechanism, setup = load_mechanism(mech), known.read_setup()
     if output is not None:
@@ -220,7 +220,7 @@ def doctor(
         for remedy in remedies(prepared(mechanism, data, options)):
             tries.append(remedy)
             progress(tried(remedy))
-    cures = [remedy for remedy in tries if remedy.works]
+    cures = cures_among(tries)
     stdout.print(remedy_table(tries))
     say(*advice(tries))
     if len(cures) == 1:
@@ -262,7 +262,7 @@ def _say_cure(
     elif output:
         remark(f"options suffice: {output} is not written, use {measurements}")
     options, as_typed = cure.calibration.options, known.read_setup()
-    words = ["--unknown-frame"] * (options.setup.unknown_frame and not known.unknown_frame)
+    words = ["--unknown-frame"] * (options.setup.unknown_frame and not as_typed.unknown_frame)
     unknown_target = options.setup.targets[ORIGIN].unknown
     words += ["--unknown-target"] * (unknown_target and not as_typed.targets[ORIGIN].unknown)
     words += ["--rough"] * options.rough

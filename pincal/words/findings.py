@@ -277,6 +277,10 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "sign-of-column": _hypothesis("{column} has the opposite sign", _SIGN.format("its sign")),
     "columns-exchanged": _hypothesis("{columns|join(' and ')} are swapped", _ORDER),
+    "columns-coupled": _hypothesis(
+        "{columns[0]} turns by its reading {'plus' if sign > 0 else 'less'} {columns[1]}",
+        "Write that angle into its column (a parallelogram or a drive couples them)",
+    ),
     "legs-exchanged": _hypothesis(
         "legs are swapped: {% for leg, column in order %}{' and ' if not loop.first}column "
         "{column} fits {leg}{% endfor %}",

@@ -7,7 +7,7 @@ in the readings of single legs. ``plausibility`` decides which hypotheses explai
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -208,7 +208,7 @@ def _swapped(count: int, i: int, j: int) -> list[int]:
 
 
 def _columns_of_a_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
-    """Yield the sign of a column, and exchanged columns, for legs with several sensors."""
+    """Yield the sign of a column, exchanged and coupled ones, for legs with several sensors."""
     names = mechanism.reading_names
     n = len(names)
     for columns in (range(c.start, c.stop) for c in mechanism.reading_columns):
@@ -218,6 +218,11 @@ def _columns_of_a_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
         for i, j in combinations(columns, 2):
             right, values = _ordered(_swapped(n, i, j)), {"columns": (names[i], names[j])}
             yield Hypothesis("columns-exchanged", right, values)
+        for (i, j), sign in product(pairwise(columns), (1.0, -1.0)):
+            mixing = np.eye(n) + sign * np.outer(np.eye(n)[j], np.eye(n)[i])
+            right = _read(partial(np.einsum, "ij,nj->ni", mixing))
+            pair = {"columns": (names[j], names[i]), "sign": sign}
+            yield Hypothesis("columns-coupled", right, pair)
 
 
 def _angles(case: Case) -> Iterator[Hypothesis]:

@@ -141,12 +141,22 @@ class Case:
 
 
 def case_of(calibration: Calibration, frame: External | None = None) -> Case | None:
-    """Return the case of a calibration, with the target's place from ``frame``, if estimated."""
-    setup, target = calibration.options.setup, calibration.options.setup.targets[ORIGIN]
+    """Return the case of a calibration, with the target's place from ``frame``, if estimated.
+
+    Where no pose was measured it is of the target that was measured most often.
+    """
+    setup, data, name = calibration.options.setup, calibration.measurements, ORIGIN
+    if not np.isfinite(data.poses).any():
+        counts = {n: np.isfinite(data.extra.get(f"{n}_x", np.nan)).sum() for n in setup.targets}
+        name = max(counts, key=counts.__getitem__)
+        for place, axis in enumerate("xyz"[: calibration.mechanism.platform.lengths]):
+            positions = data.extra.get(f"{name}_{axis}", np.full(len(data), np.nan))
+            data = replace(data, poses=np.insert(data.poses[:, :-1], place, positions, axis=1))
+    target = setup.targets[name]
     if frame is not None and target.unknown:
-        x, y, z = frame.offsets[0].tolist()
+        x, y, z = frame.offsets[[*setup.targets].index(name)].tolist()
         target = Target((x, y, z))
-    return Case.of(calibration.mechanism, calibration.measurements, setup.unknown_frame, target)
+    return Case.of(calibration.mechanism, data, setup.unknown_frame, target)
 
 
 @dataclass(frozen=True, eq=False)
