@@ -207,6 +207,8 @@ def test_an_arm_of_a_table_moves_as_the_table_says(convention: str, tmp_path: Pa
     table = tmp_path / "dh.csv"
     table.write_text(DH)
     arm = pincal.new_mechanism("arm", dh=str(table), convention=convention)
+    with pytest.raises(pincal.PincalError, match=r"the convention of the table .* is 'x'"):
+        pincal.new_mechanism("arm", dh=str(table), convention="x")
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 6))
     found = arm.platform.matrices(pincal.forward(arm, q).poses)
     expected = np.stack([dh_pose(one, convention == "modified") for one in q])

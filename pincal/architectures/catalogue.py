@@ -195,7 +195,7 @@ def _arm(d: Values) -> Mechanism:
 
 _ARM = (
     text("dh", "CSV table of Denavit and Hartenberg"),
-    text("convention", "of the table", "standard", "modified"),
+    text("convention", "convention of the table", "standard", "modified"),
 )
 
 _MADE = (
