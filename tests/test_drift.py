@@ -82,7 +82,7 @@ def test_a_reference_that_moves_is_named_with_how_far() -> None:
     (one,) = moved
     assert data.places is not None
     assert [data.places[row] for row in one.rows] == [REFERENCE] * data.places.count(REFERENCE)
-    assert one.values["quantity"] == "measured y"
+    assert one.values["quantity"] == "positions"
     assert abs(one.values["size"] - 2e-4) < 4e-5
 
 

@@ -11,7 +11,7 @@ from pincal.calibration.promise import UNEXPLAINED
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import IdentifiedParameter
 from pincal.estimation.fit import Fit, Outlier
-from pincal.estimation.observability.courses import Score, scores, slips
+from pincal.estimation.observability.courses import Score, scores
 from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.observability.residuals import together
 from pincal.estimation.system import FALSE_ALARM
@@ -177,18 +177,16 @@ def lacking(fits: Fits) -> list[Finding]:
 def _named_error(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
     """Return a finding for an error that residuals follow, a step, or a pose that moved."""
     values: dict[str, Any] = {"quantity": worst.name, "p_value": p_value}
-    slip = next((slip for slip in slips(fit) if slip.term == "step"), None)
-    if slip is None and worst.correlation:
+    if worst.correlation:
         return finding("rows-alike", correlation=worst.correlation, **values)
-    if worst.term == "step" or (slip and (worst.correlation or slip.p_value < worst.p_value)):
-        slip = slip or worst
-        values = {"what": slip.what, "name": slip.name, "unit": slip.unit, "p_value": p_value}
-        return finding("step", (int(fit.rows[slip.row]),), size=slip.total, **values)
-    if worst.term != "again":
+    if worst.term not in ("step", "again"):
         return finding("model-lacks", term=worst.term, **values)
-    values |= {"size": worst.total, "unit": worst.unit}
+    size: dict[str, Any] = {"size": worst.total, "unit": worst.unit, "p_value": p_value}
+    if worst.term == "step":
+        row = int(fit.rows[worst.row])
+        return finding("step", (row,), what=worst.what, name=worst.name, **size)
     rows = fit.rows[_repeated_poses(data, fit.rows)[worst.place]]
-    return finding("reference-moved", rows, pose=worst.place, **values)
+    return finding("reference-moved", rows, pose=worst.place, quantity=worst.name, **size)
 
 
 def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:

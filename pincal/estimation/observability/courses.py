@@ -1,12 +1,13 @@
-"""Tests of residuals for errors of measured quantities, each with a course that a model lacks.
+"""Tests of residuals for errors of what was measured, each with a course that a model lacks.
 
-An error may depend on its own reading, the pose, the order of rows or the side of approach, or
-begin at some row (a step). Each reading is tested alone, and all readings together, with the same
-error in each or with separate amplitudes. Positions that drift together belong to a frame. All
+What may err is a reading, a target, the frame of all positions, the orientation, or another
+measured quantity. Its error may drift with the order of rows, begin at some row (a step), or move a
+pose that is measured repeatedly; that of a reading may follow itself, the pose or the side of
+approach, in one reading or in all of them, with the same error in each or separate amplitudes. All
 tests are combined into one: the probability of any such finding by chance.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -25,7 +26,7 @@ _MAX_SLIPS = 3
 _FLAT = 0.01
 """Range of a coordinate over the widest of its unit, below which it has no visible effect."""
 ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
-"""Errors of all readings; of all positions, in a moving frame; of all lengths, which grow."""
+"""All readings; all positions, which move with their frame; all lengths, which grow."""
 What = Literal["frame", "target", "orientation", "reading", "quantity"]
 
 
@@ -35,8 +36,8 @@ class Score:
 
     what: What
     name: str
-    """Name of the target or reading, empty for the frame; or a quantity, as ``Problem.quantities``
-    names it; all ``"readings"`` or ``"positions"``, or the ``"lengths"`` of the legs."""
+    """Name of the target, reading or quantity; ``"positions"`` of the frame, ``"orientation"``;
+    ``"readings"`` for all of them, ``"lengths"`` for those of the legs."""
     unit: str = "m"
     """``"m"`` or ``"rad"``."""
     axes: tuple[str, ...] = ("",)
@@ -61,13 +62,17 @@ class Score:
 
     @property
     def common(self) -> bool:
-        """Whether the test is of all readings, positions or lengths together."""
-        return self.what == "quantity" and self.name in (ALL, FRAME, LENGTHS)
+        """Whether the test is of all readings or all lengths together."""
+        return self.what == "quantity" and self.name in (ALL, LENGTHS)
 
     @property
     def total(self) -> float:
         """Error of one quantity with its sign, or the length of the error of several."""
         return float(self.size[0] if len(self.size) == 1 else np.linalg.norm(self.size))
+
+
+Test = tuple[Score, Array]
+"""An error, before or after its test, and its white rows, shape (n_used, m, f)."""
 
 
 def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]:
@@ -78,31 +83,32 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
     """
     if fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
         return []
-    residuals, results = Residuals.of(fit), list[Score]()
-    used, errors = residuals.used, errors_of(fit, residuals.used)
-    (kinds, of_kind), units = _kinds(fit, errors), fit.problem.quantities
-    for quantity, term, course in _course_tests(fit, errors, used):
-        followed, correlation = residuals.amplitudes(course, TAKEN), 0.0
-        if term == "order" and followed.p_value < FALSE_ALARM:
-            peers = of_kind[kinds[quantity]] if quantity in errors else course
-            correlation = residuals.alike_after(course, peers)
-        tested = Score("quantity", quantity, units.get(quantity, "m"), term=term)
-        results.append(_scored(residuals, tested, followed, correlation=correlation))
-    for name, error in errors.items():
-        tested, correlation = Score("quantity", name, units[name], term="step"), 0.0
-        row, after, step = residuals.step(error)
-        if step.p_value < FALSE_ALARM:
-            correlation = residuals.alike_after(after, of_kind[kinds[name]])
-        results.append(_scored(residuals, tested, step, row=row, correlation=correlation))
-    for name, error in errors.items():
-        for place, rows in (repeated or {}).items():
-            at_place, since = np.isin(used, rows), np.zeros((len(used), 1, 1))
-            if at_place.sum() > 1:  # the time about its mean, 1 from first to last
-                times = used[at_place]
-                since[at_place, 0, 0] = (times - times.mean()) / np.ptp(times)
-            tested = Score("quantity", name, units[name], term="again", place=place)
-            results.append(_scored(residuals, tested, residuals.amplitudes(error * since)))
+    residuals = Residuals.of(fit)
+    subjects, used = list(_subjects(fit, residuals.used)), residuals.used
+    tests = [test for subject in subjects for test in _step_and_drift(residuals, *subject)]
+    for course, W in _courses(fit, subjects, used):
+        tests.append((_scored(residuals, course, residuals.amplitudes(W, TAKEN)), W))
+    results = [
+        replace(score, correlation=_correlation(residuals, score, W, subjects))
+        for score, W in tests
+    ]
+    for place, rows in (repeated or {}).items():
+        at_place, since = np.isin(used, rows), np.zeros((len(used), 1, 1))
+        if at_place.sum() > 1:  # the time about its mean, 1 from first to last
+            times = used[at_place]
+            since[at_place, 0, 0] = (times - times.mean()) / np.ptp(times)
+        for subject, W in subjects:
+            moved = residuals.amplitudes(W * since)
+            results.append(_scored(residuals, subject, moved, term="again", place=place))
     return results
+
+
+def _correlation(residuals: Residuals, score: Score, W: Array, subjects: Sequence[Test]) -> float:
+    """Return the correlation from row to row that a significant step or drift leaves, or 0."""
+    if score.term not in ("step", "order") or score.p_value >= FALSE_ALARM:
+        return 0.0
+    peers = [of_peer for peer, of_peer in subjects if peer.what == score.what] or [W]
+    return residuals.alike_after(W, np.concatenate(peers, axis=2))
 
 
 def _scored(residuals: Residuals, tested: Score, answer: Amplitudes, **values: Any) -> Score:
@@ -110,47 +116,29 @@ def _scored(residuals: Residuals, tested: Score, answer: Amplitudes, **values: A
     return replace(tested, p_value=answer.p_value, share=share, size=size, **values)
 
 
-def _kinds(
-    fit: Fit, errors: Mapping[str, Array]
-) -> tuple[dict[str, tuple[bool, str]], dict[tuple[bool, str], Array]]:
-    """Return each quantity's kind (is it a reading, its unit), and white rows of each kind."""
-    n = fit.problem.leg_block.n_readings
-    units = enumerate(fit.problem.quantities.items())
-    kinds = {name: (place < n, unit) for place, (name, unit) in units}
-    of_kind: dict[tuple[bool, str], list[Array]] = {}
-    for name, error in errors.items():
-        of_kind.setdefault(kinds[name], []).append(error)
-    return kinds, {kind: np.concatenate(rows, axis=2) for kind, rows in of_kind.items()}
+def _courses(fit: Fit, subjects: Sequence[Test], used: Index) -> Iterator[Test]:
+    """Yield errors with their courses: of each reading, of all readings, and of all lengths.
 
-
-def _course_tests(
-    fit: Fit, errors: Mapping[str, Array], used: Index
-) -> Iterator[tuple[str, str, Array]]:
-    """Yield quantities and courses to test, with their white rows, (n_used, m, f).
-
-    Each quantity is tested alone, then all readings with the same error or separate amplitudes,
-    then growth of all lengths and motion of all positions with time.
+    All readings have the same error or separate amplitudes; lengths grow with time.
     """
-    n_readings, time = fit.problem.leg_block.n_readings, np.linspace(-1.0, 1.0, len(used))[:, None]
-    courses = {"order": [time] * len(errors), **_reading_courses(fit, used)}
-    for term, of_quantities in courses.items():
-        named = zip(errors.items(), of_quantities, strict=False)
-        rows = {name: error * course[:, None] for (name, error), course in named}
-        yield from ((name, term, of_quantity) for name, of_quantity in rows.items())
-        readings = list(rows.values())[:n_readings]
-        widths = dict.fromkeys(of_reading.shape[2] for of_reading in readings)
-        for width in widths if n_readings > 1 else ():  # [rad] and [m] differ
-            yield ALL, term, np.sum([e for e in readings if e.shape[2] == width], axis=0)
-        if n_readings > 1 and term != "pose":  # motors differ in amplitude
-            yield ALL, term, np.concatenate(readings, axis=2)
+    readings = [(subject, W) for subject, W in subjects if subject.what == "reading"]
+    time = np.linspace(-1.0, 1.0, len(used))[:, None]
+    for term, courses in {**_reading_courses(fit, used), "order": [time] * len(readings)}.items():
+        rows = [W * course[:, None] for (_, W), course in zip(readings, courses, strict=True)]
+        for (reading, _), W in zip(readings, rows, strict=True):
+            if term != "order":  # a drift is tested already
+                yield replace(reading, term=term), W
+        every, widths = Score("quantity", ALL, term=term), dict.fromkeys(W.shape[2] for W in rows)
+        for width in widths if len(rows) > 1 else ():  # [rad] and [m] differ
+            yield every, np.sum([W for W in rows if W.shape[2] == width], axis=0)
+        if len(rows) > 1 and term != "pose":  # motors differ in amplitude
+            yield every, np.concatenate(rows, axis=2)
     grown = np.zeros((len(fit.unknowns.labels), 1))
     for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True):
         of_leg = [leg.units[n] == "m" and n not in leg.amplitudes for n in leg.parameter_names]
         grown[columns, 0] = np.where(of_leg, fit.parameters[columns], 0.0)
-    yield LENGTHS, "order", (fit.last.jacobian[used] @ grown) * time[:, None]
-    moved, axes = _frame_errors(fit, errors)
-    if len(axes) > 1:
-        yield FRAME, "order", moved * time[:, None]
+    growth = (fit.last.jacobian[used] @ grown) * time[:, None]
+    yield Score("quantity", LENGTHS, term="order"), growth
 
 
 def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
@@ -192,22 +180,6 @@ def _reading_courses(fit: Fit, used: Index) -> dict[str, list[Array]]:
     }
 
 
-def _target_errors(fit: Fit, errors: Mapping[str, Array], target: str) -> Array:
-    """Return the white rows of unit errors of a target along x, y, z, (n_used, m, n_axes)."""
-    stem = "" if target == ORIGIN else f"{target}_"
-    none = np.zeros_like(next(iter(errors.values())))
-    names = [f"measured {stem}{axis}" for axis in "xyz"[: fit.problem.platform.space]]
-    return np.concatenate([errors.get(name, none) for name in names], axis=2)
-
-
-def _frame_errors(fit: Fit, errors: Mapping[str, Array]) -> tuple[Array, tuple[str, ...]]:
-    """Return white rows of unit errors of all positions, (n_used, m, n_axes), and the axes."""
-    targets = fit.problem.observation.setup.targets
-    moved = np.sum([_target_errors(fit, errors, target) for target in targets], axis=0)
-    known = moved.any(axis=(0, 1))
-    return moved[:, :, known], tuple(np.array(list("xyz"[: len(known)]))[known].tolist())
-
-
 def slips(fit: Fit) -> list[Score]:
     """Return slips and drifts, the most significant first; empty if there are none.
 
@@ -216,10 +188,9 @@ def slips(fit: Fit) -> list[Score]:
     if fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
         return []
     residuals, clearest = Residuals.of(fit), list[Score]()
-    errors = errors_of(fit, residuals.used)
-    candidates, (_, of_kind) = (list(_candidates(fit, errors, residuals.used)), _kinds(fit, errors))
+    subjects = list(_subjects(fit, residuals.used))
     while len(clearest) < _MAX_SLIPS:
-        tried = [trial for slip, W in candidates for trial in _step_and_drift(residuals, slip, W)]
+        tried = [trial for slip, W in subjects for trial in _step_and_drift(residuals, slip, W)]
         tried.sort(key=lambda trial: (trial[0].p_value, -trial[0].share))
         if not tried or tried[0][0].p_value * len(tried) >= FALSE_ALARM:
             break
@@ -232,7 +203,7 @@ def slips(fit: Fit) -> list[Score]:
             if slip.term == first.term and first.share - slip.share < clear
             if slip.unit == first.unit and len(slip.size) == len(first.size)
         )
-        if residuals.alike_after(white, of_kind[first.what == "reading", first.unit]):
+        if _correlation(residuals, first, white, subjects):
             break  # neither a slip nor a drift
         chance = first.p_value * len(tried)
         clearest.append(replace(first, p_value=chance, or_else=indistinct))
@@ -240,7 +211,7 @@ def slips(fit: Fit) -> list[Score]:
     return clearest
 
 
-def _step_and_drift(residuals: Residuals, slip: Score, W: Array) -> Iterator[tuple[Score, Array]]:
+def _step_and_drift(residuals: Residuals, slip: Score, W: Array) -> Iterator[Test]:
     """Yield a slip at its most significant row, and a drift; each with its white rows."""
     row, after, step = residuals.step(W)
     yield _scored(residuals, slip, step, term="step", row=row), after
@@ -251,28 +222,35 @@ def _step_and_drift(residuals: Residuals, slip: Score, W: Array) -> Iterator[tup
         yield _scored(residuals, slip, drift, term="order"), steady
 
 
-def _candidates(
-    fit: Fit, errors: Mapping[str, Array], used: Index
-) -> Iterator[tuple[Score, Array]]:
-    """Yield what may slip, with the white rows of its unit errors, shape (n_used, m, f)."""
-    problem, platform = fit.problem, fit.problem.platform
-    readings = [name for leg in problem.legs for name in leg.reading_names]
-    quantities = zip(readings, errors.values(), problem.quantities.values(), strict=False)
-    for name, error, unit in quantities:
-        yield Score("reading", name, unit), error
-    if not problem.latent:
-        return
-    state, axes = fit.last.state, tuple("xyz"[: platform.space])
-    turns = state.external.frame[:3, :3] @ state.matrices[used, :3, :3]
+def _subjects(fit: Fit, used: Index) -> Iterator[Test]:
+    """Yield what may err, with the white rows of its unit errors, shape (n_used, m, f)."""
+    errors, units = errors_of(fit, used), fit.problem.quantities
+    for name in (name for leg in fit.problem.legs for name in leg.reading_names):
+        quantity = next(iter(errors))  # readings are first
+        yield Score("reading", name, units[quantity]), errors.pop(quantity)
+    if fit.problem.latent:
+        yield from _measured(fit, errors, used)
+    for quantity, white in errors.items():
+        if white.any():
+            yield Score("quantity", quantity, units[quantity]), white
+
+
+def _measured(fit: Fit, errors: dict[str, Array], used: Index) -> Iterator[Test]:
+    """Yield targets, their frame and the orientation; their errors are taken out of ``errors``."""
+    problem, platform, state = fit.problem, fit.problem.platform, fit.last.state
+    axes, turns = tuple("xyz"[: platform.space]), state.external.frame @ state.matrices[used]
+    moved = none = np.zeros((*fit.last.residuals[used].shape, 1))
     for target in problem.observation.setup.targets:
-        white = _target_errors(fit, errors, target)
+        stem = "measured " if target == ORIGIN else f"measured {target}_"
+        white = np.concatenate([errors.pop(stem + axis, none) for axis in axes], axis=2)
+        moved = moved + white
         if white.any():
             yield Score("target", target, "m", axes), white @ turns[:, : len(axes), : len(axes)]
-    moved, known = _frame_errors(fit, errors)
-    if known:
-        yield Score("frame", "", "m", known), moved
-    angles = platform.freedoms[platform.lengths :]
-    if angles:
-        turned = np.concatenate([errors[f"measured {name}"] for name in angles], axis=2)
+    known = moved.any(axis=(0, 1))
+    if known.any():
+        axes = tuple(np.array(axes)[known].tolist())
+        yield Score("frame", FRAME, "m", axes), moved[:, :, known]
+    if angles := platform.freedoms[platform.lengths :]:
+        turned = np.concatenate([errors.pop(f"measured {name}") for name in angles], axis=2)
         if turned.any(axis=(0, 1)).all():
-            yield Score("orientation", ORIGIN, "rad", angles), turned
+            yield Score("orientation", "orientation", "rad", angles), turned
