@@ -190,7 +190,6 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit the others, worst data row 2"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: only 8 poses for 8 parameters"),
     "terms-chosen": ({}, (), ("leg_1.sin", "leg_1.cos"), "leg_1.sin, leg_1.cos were added because they fit these measurements"),
-    "tolerance-found": ({"unit": "m", "size": 4e-4, "low": 0.0, "high": 1e-3, "count": 12}, (), (), "lengths differ from the drawing by 0.4 mm (standard deviation of 12; 95 %: 0 mm to 1 mm)"),
     "weakly-determined": ({"parameter": "leg_1.l", "half": 0.12, "unit": "m", "option": "--strict"}, (), ("leg_1.l", "leg_2.l"), "2 parameters are weakly determined, leg_1.l only to ± 0.12 m"),
     "undetermined-held": ({"groups": (("leg_1.l", "leg_1.L"), ("leg_2.k",)), "weak": ("leg_3.l", "leg_3.k")}, (), (), "these measurements do not determine all parameters: leg_1.l and leg_1.L move together; leg_2.k has no effect; leg_3.l and leg_3.k are weakly determined"),
     "far-from-nominal": ({"parameter": "leg_1.gamma", "change": 0.123, "unit": "rad", "options": ("unknown-target",)}, (), ("leg_1.gamma",), "leg_1.gamma changed by +0.123 rad, more than a machine usually differs from its drawing"),

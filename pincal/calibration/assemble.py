@@ -195,33 +195,6 @@ def covariance_by_noise(fits: Fits) -> Array:
     return covariance
 
 
-def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
-    """Return fits with covariances that include the uncertainty of estimated tolerances.
-
-    To first order ∂φ/∂ log τ² = C (φ − φ₀) / τ² over the parameters of that unit (R. E. Kass and
-    D. Steffey 1989). The measurements determine k − tr C / τ² of these k parameters, and log τ² is
-    known by that number (D. J. C. MacKay 1992).
-    """
-    mechanism, fits = fits_of_all.calibration.mechanism, []
-    units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
-    for fit in fits_of_all.fits:
-        unknowns, widening = fit.unknowns, fit.widening
-        values = np.zeros_like(unknowns.nominal)
-        values[: len(fit.parameters)] = fit.parameters - unknowns.nominal[: len(fit.parameters)]
-        for tolerance in fits_of_all.calibration.tolerances:
-            unit, size = tolerance.values["unit"], tolerance.values["size"]
-            of_unit = np.array([units.get(id_) == unit for id_ in unknowns.labels])
-            tolerated = of_unit & (unknowns.priors == size)  # others have a given prior
-            pull = np.where(tolerated, values / size**2, 0.0)
-            known = np.diagonal(fit.covariance)[tolerated].sum() / size**2
-            determined = tolerated.sum() - known
-            unsure = np.sqrt(2.0 / max(determined, 0.5))  # of the logarithm; at most a factor of e²
-            follows = unsure / fit.noise_scale**2 * (fit.covariance @ pull)
-            widening = widening + np.outer(follows, follows)
-        fits.append(replace(fit, widening=widening))
-    return replace(fits_of_all, fits=fits)
-
-
 def noise_freedoms(fits: Fits) -> tuple[Array, float]:
     """Return degrees of freedom of the noise: in the variance of each unknown, (n,), and in χ².
 

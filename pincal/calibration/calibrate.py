@@ -18,10 +18,10 @@ import numpy as np
 from scipy.special import ndtri
 
 from pincal.blas import one_thread
-from pincal.calibration.assemble import assemble, with_unsure_tolerances
+from pincal.calibration.assemble import assemble
 from pincal.calibration.calibration import Calibration, with_followed_influences
 from pincal.calibration.findings import MANY_ROWS, findings_of, points_left_out, values_of
-from pincal.calibration.fits import Fits, fitted, with_found_tolerance
+from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.hypotheses import photos, plausibility
 from pincal.calibration.hypotheses.faults import with_zeros
 from pincal.calibration.options import AUTO, By, Options
@@ -104,20 +104,16 @@ def prepared(
     return with_followed_influences(Calibration(machine, replace(data), completed))
 
 
-def identified(
-    asked: Calibration, near: Fits | None = None
-) -> tuple[CalibrationResult, Fits, Fits]:
-    """Return the result of a calibration without findings, and its fits before and after widening.
+def identified(asked: Calibration, near: Fits | None = None) -> tuple[CalibrationResult, Fits]:
+    """Return the result of a calibration without findings, and its fits.
 
-    The second fits include the uncertainty of estimated tolerances. ``near`` are earlier fits whose
-    residuals said that the model lacks something. Errors are as in ``calibrate``. If nothing
-    explains a misfit at the start, but a fit halves it, the mechanism is known only roughly, and
-    the options of the result say so.
+    ``near`` are earlier fits whose residuals said that the model lacks something. Errors are as in
+    ``calibrate``. If nothing explains a misfit at the start, but a fit halves it, the mechanism is
+    known only roughly, and the options of the result say so.
     """
     calibration = replace(near.calibration, lacks=True) if near else started(asked)
     try:
         fits = fitted(calibration, near)
-        sure_fits = with_unsure_tolerances(fits)
     except (PincalError, np.linalg.LinAlgError) as error:
         reason = explained_error(calibration, error)
         if reason is error and isinstance(error, MisfitError):
@@ -126,7 +122,7 @@ def identified(
                 if roughly[0].converged and roughly[0].halves_residuals:
                     return roughly
         raise reason from error
-    return assemble(sure_fits), fits, sure_fits
+    return assemble(fits), fits
 
 
 @one_thread()
@@ -138,8 +134,8 @@ def run(
     ``folds`` (0 or None for none) and ``by`` are as in ``CalibrationResult.validated``, ``near`` as
     in ``identified``, and errors as in ``calibrate``.
     """
-    result, fits, sure_fits = identified(asked, near)
-    findings = (*explain_result(result, fits.external), *findings_of(result, sure_fits))
+    result, fits = identified(asked, near)
+    findings = (*explain_result(result, fits.external), *findings_of(result, fits))
     findings = (*findings, *points_left_out(asked.measurements, result.measurements))
     lacks = near is None and "model-lacks" in {remark.code for remark in findings}
     if lacks and tie_of(fits.fits[0], fits.noise):
@@ -216,7 +212,7 @@ def started(calibration: Calibration) -> Calibration:
         if faults and start is None:
             raise MisfitError(sentences(faults)[0])
         calibration = replace(calibration, start=start)
-    return with_found_tolerance(calibration)
+    return calibration
 
 
 @one_thread()

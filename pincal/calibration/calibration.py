@@ -14,7 +14,6 @@ from pincal.estimation.observation import Observation
 from pincal.estimation.problem import LegBlock, Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import State, Unknowns, unknowns
-from pincal.finding import Finding
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name, influence_columns
 from pincal.model import ROW, Measurements, Mechanism, Noise
@@ -37,8 +36,6 @@ class Calibration:
     """Whether an estimated noise is not to be estimated again: it is from more rows than these."""
     lacks: bool = field(default=False, compare=False, repr=False)
     """Whether residuals said that the model lacks something: see ``tie_of``."""
-    tolerances: tuple[Finding, ...] = field(default=(), compare=False, repr=False)
-    """Findings that state, by unit, the size of tolerances as estimated from the measurements."""
 
     def __post_init__(self) -> None:
         mechanism, data = self.mechanism, self.measurements

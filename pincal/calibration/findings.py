@@ -39,7 +39,7 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     if copies := result.calibration.copies:
         equal = sorted({*np.ravel(copies).tolist()})
         first.append(finding("rows-copied", equal, first=copies[0], pairs=len(copies)))
-    first += [*_zeros_found(result), *result.calibration.tolerances]
+    first += _zeros_found(result)
     few = _few_poses(result)
     if rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise

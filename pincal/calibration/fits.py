@@ -1,34 +1,29 @@
 """The fits of a calibration: all legs at once, or each leg alone, with estimated variances.
 
-Standard deviations that are not given, of the noise and of how far machines differ from their
-drawing (``--tolerance auto``), are variance components. They are estimated in turn with the fits.
+Standard deviations of the noise that are not given are variance components, estimated in turn with
+the fits.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.options import AUTO
-from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import ObservabilityError
 from pincal.estimation import components
 from pincal.estimation.fit import Fit, robust_fit
 from pincal.estimation.holding import checked, fit_holding, fit_strictly
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
-from pincal.estimation.observability.identifiable import DIFFER, HeldUnknowns
+from pincal.estimation.observability.identifiable import HeldUnknowns
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.system import NEGLIGIBLE, System
 from pincal.estimation.unknowns import External, State
 from pincal.model import Leg, Noise
-from pincal.model.checks import ALIKE
 from pincal.types import Array, Index, Mask
-from pincal.words.findings import finding
 
-ROUNDS = 20  # largest number of alternations of fits with the noise, or with tolerances
+ROUNDS = 20  # largest number of alternations of fits with the noise
 _REFITS = 5  # largest number of fits with estimated noise
 _AUXILIARY = 0.03  # distance [σ] at which fits end that only predict other rows, or are screened
 SETTLED = 1e-3  # relative change of an estimated standard deviation that is negligible
@@ -278,50 +273,3 @@ def _legs_alone(calibration: Calibration) -> Fits:
         begin = problem.evaluate(problem.start(free.start))
         fits.append(checked(mechanism, robust_fit(system, begin), "--method per-leg"))
     return Fits(calibration, fits)
-
-
-def with_found_tolerance(calibration: Calibration) -> Calibration:
-    """Return a calibration with tolerances estimated from its measurements, if it asks for that."""
-    if calibration.options.tolerance != AUTO:
-        return calibration
-    units = _ids_with_tolerance(calibration)
-    sought = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two are too few
-    groups = {id_: place for place, unit in enumerate(sought) for id_ in units[unit]}
-    size = calibration.mechanism.size
-    sizes = farthest = np.array([DIFFER * (size if unit == "m" else 1.0) for unit in sought])
-    estimates = dict.fromkeys(units, (np.inf, 0.0, np.inf))  # size, and ends of its interval
-    for _ in range(ROUNDS if sought else 0):
-        known = dict(zip(sought, sizes.tolist(), strict=True))
-        calibration = calibration.with_options(tolerance=known)
-        calibration.options.report("finding how far the machine is from its drawing")
-        try:
-            fits = fitted(calibration)
-        except np.linalg.LinAlgError as error:
-            raise ObservabilityError(
-                "these rows do not tell noise from how far the machine is from its drawing; "
-                "measure more, or give the noise (--noise-position …) or --tolerance 0.5mm,5mrad"
-            ) from error
-        calibration = fits.calibration  # with the noise where the next search begins
-        parts = [components.Evidence.of(fit, groups) for fit in fits.fits]
-        rise = float(chdtri(1, 1.0 - CONFIDENCE))
-        last, within = sizes, (ALIKE * farthest, farthest)
-        sizes, ends = components.likeliest(parts, sizes, within, rise)
-        estimates |= zip(sought, zip(sizes.tolist(), *ends.T.tolist(), strict=True), strict=True)
-        if np.abs(np.log(sizes / last)).max() <= SETTLED:
-            break
-    tolerances = tuple(
-        finding("tolerance-found", unit=unit, size=size, low=low, high=high, count=len(units[unit]))
-        for unit, (size, low, high) in estimates.items()
-    )
-    known = dict(zip(sought, sizes.tolist(), strict=True))
-    return replace(calibration.with_options(tolerance=known), tolerances=tolerances)
-
-
-def _ids_with_tolerance(calibration: Calibration) -> dict[str, list[str]]:
-    """Return the ids of parameters whose tolerance is to be estimated, by unit."""
-    ids_by_unit, free = dict[str, list[str]](), calibration.unknowns
-    moved = dict(zip(free.labels, free.map.any(axis=1) & ~np.isfinite(free.priors), strict=True))
-    for parameter in calibration.mechanism.parameters:
-        if moved[parameter.id] and parameter.id not in calibration.mechanism.amplitudes:
-            ids_by_unit.setdefault(parameter.unit, []).append(parameter.id)
-    return ids_by_unit

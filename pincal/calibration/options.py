@@ -87,9 +87,9 @@ Poses = Literal["own", "all"]
 Loss = Literal["none", "reject"]
 Progress = Callable[[str], None] | None
 AUTO: Final = "auto"
-"""Terms, or sizes of tolerances, are to be found from the measurements."""
+"""Terms are to be found from the measurements."""
 
-Tolerance = Mapping[str, float] | Literal["auto"]
+Tolerance = Mapping[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,13 +124,12 @@ class Options:
     tolerance: Tolerance = option(
         dict,
         "How far machines differ from the drawing: a prior for all parameters, by unit (a third "
-        "number: gains); auto: estimated.",
+        "number: gains).",
         metavar="0.5mm,5mrad",
         kind=str | None,
     )
     """Standard deviations by unit, ``{"m": 5e-4, "rad": 5e-3}`` (``"1"``: gains), or a text such as
-    ``"0.5mm,5mrad"``, of parameters without a prior, except amplitudes of terms. ``"auto"``
-    estimates them with the parameters as variance components."""
+    ``"0.5mm,5mrad"``, of parameters without a prior, except amplitudes of terms."""
     terms: tuple[str, ...] = option(
         (),
         "Terms to add to sensors: harmonics:1,2, period:5mm, polynomial, backlash, gravity, a "
@@ -209,11 +208,10 @@ class Options:
 
     def priors_by_name(self, mechanism: Mechanism) -> dict[str, float]:
         """Return standard deviations about nominal by ids (tolerances) and names (priors)."""
-        by_unit = {} if isinstance(self.tolerance, str) else self.tolerance
         tolerances = {
-            parameter.id: by_unit[parameter.unit]
+            parameter.id: self.tolerance[parameter.unit]
             for parameter in mechanism.parameters
-            if parameter.unit in by_unit and parameter.id not in mechanism.amplitudes
+            if parameter.unit in self.tolerance and parameter.id not in mechanism.amplitudes
         }
         return {**tolerances, **self.priors}
 
@@ -256,9 +254,7 @@ def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any
 
 
 def _tolerance(tolerance: Mapping[str, float] | str) -> Tolerance:
-    """Return standard deviations by unit, also from a text ``0.5mm,5mrad,0.001``, or AUTO."""
-    if isinstance(tolerance, str) and tolerance.strip() == AUTO:
-        return AUTO
+    """Return standard deviations by unit, also from a text ``0.5mm,5mrad,0.001``."""
     by_unit = _parse_tolerance(tolerance) if isinstance(tolerance, str) else tolerance
     for unit, sigma in must_be(by_unit, Mapping, "tolerance", MeasurementError).items():
         if unit not in ("m", "rad", "1") or not 0.0 < sigma < np.inf:
@@ -279,7 +275,7 @@ def _parse_tolerance(text: str) -> dict[str, float]:
             raise MeasurementError(
                 f"--tolerance {text}: {part!r} {'has no unit' if bare else 'is not understood'}; "
                 "expected one number for lengths, one for angles, and after them one without a "
-                "unit for gains, such as 0.5mm,5mrad,0.001, or 'auto'"
+                "unit for gains, such as 0.5mm,5mrad,0.001"
             )
         by_unit[dimension] = in_si(part, dimension) if unit else plain_number(part)
     return by_unit

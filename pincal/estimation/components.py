@@ -1,10 +1,10 @@
-"""Variance components: of the noise by groups, and of machines about their drawing.
+"""Variance components of the noise, by groups of measured quantities.
 
 White rows r = L⁻¹Nᵀe have the covariance Σ_g s_g V_g, V_g = U_g U_gᵀ by the noise of group g. With
 the projection M on the complement of the Jacobian's range, rᵀ M V_g M r has the expectation
 Σ_h F_gh s_h, F_gh = tr(M V_g M V_h). Solving for s, and repeating with rows whitened by it, is the
 restricted maximum likelihood estimator (Patterson and Thompson 1971; Helmert, in geodesy); its
-covariance is 2 F⁻¹. How far machines differ from their drawing is estimated by the evidence.
+covariance is 2 F⁻¹.
 """
 
 from collections.abc import Sequence
@@ -14,11 +14,10 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.observability.identifiable import RANK_TOLERANCE
 from pincal.estimation.problem import Linear
 from pincal.kinematics.batches import over_rows
 from pincal.model import Noise
-from pincal.types import Array, Index, Mask
+from pincal.types import Array, Mask
 
 GROUPS = {"m": 0, "rad": 1, "px": 3}
 """Groups of measured quantities by their unit; pixels are the last group, if cameras see."""
@@ -267,98 +266,3 @@ def predicted_squares(
     U = U.reshape(*r.shape, len(sizes))
     traces = np.einsum("gnii->g", D) - np.einsum("gnij,njk,nik->gk", D, U, U) @ unknown
     return squares, traces + np.einsum("gij,ki,kj->gk", P, Vt, Vt) @ unknown
-
-
-class Evidence(NamedTuple):
-    """White rows at an optimum, and k deviations of parameters from nominal values, in groups."""
-
-    triangle: Array
-    """R of the rows and their residuals, other priors included, shape (n + 1, n + 1)."""
-    deviations: Array
-    """T: derivatives of the deviations by the free unknowns, shape (k, n)."""
-    offsets: Array
-    """d: deviations at the optimum, shape (k,)."""
-    groups: Index
-    """The group of each deviation, from 0, shape (k,)."""
-
-    @classmethod
-    def of(cls, fit: Fit, groups: dict[str, int]) -> Self:
-        """Return the evidence of a fit for groups of parameter ids, without their priors."""
-        labels, unknowns = fit.unknowns.labels, fit.unknowns
-        places = [place for place, id_ in enumerate(labels) if id_ in groups]
-        priors = unknowns.priors.copy()
-        priors[places] = np.inf
-        system = fit.system.with_priors(priors)
-        return cls(
-            system.triangle(fit.last, fit.good.astype(float)) / fit.noise_scale,
-            unknowns.map[places],
-            (fit.parameters - unknowns.nominal[: len(fit.parameters)])[places],
-            np.array([groups[labels[place]] for place in places], dtype=np.intp),
-        )
-
-    def deviance(self, sizes: Array) -> float:
-        """Return minus twice the log evidence of sizes τ of the groups, up to a constant."""
-        n, weights = len(self.triangle) - 1, 1.0 / sizes[self.groups]
-        prior = weights[:, None] * np.column_stack((self.deviations, self.offsets))
-        every = np.abs(np.diagonal(np.linalg.qr(np.concatenate((self.triangle, prior)), mode="r")))
-        rank = np.linalg.matrix_rank(self.deviations, rtol=RANK_TOLERANCE)
-        prior_only = np.linalg.svd(prior[:, :n], compute_uv=False)[:rank]
-        return float(every[n] ** 2 + 2.0 * np.log(every[:n]).sum() - 2.0 * np.log(prior_only).sum())
-
-
-def likeliest(
-    parts: Sequence[Evidence], start: Array, within: tuple[Array, Array], rise: float
-) -> tuple[Array, Array]:
-    """Return the likeliest sizes of groups, (k,), and the ends of their intervals, shape (k, 2).
-
-    Sizes maximise the evidence times each size, so that none is zero (Y. Chung et al.,
-    Psychometrika 2013), but lie within their intervals. These are 95 % profile-likelihood
-    intervals: from 0 where a size of zero is likely enough, infinite without an upper end. To the
-    ends the deviance rises by ``rise`` if it is χ² distributed; that of k deviations is 1 + 1 / 3k
-    times χ² (M. S. Bartlett 1937), exactly so without noise.
-
-    ``parts`` are independent. ``start``, (k,), is where the search starts; sizes are ``within`` the
-    smallest and largest meaningful ones, (k,) each.
-    """
-    from scipy.optimize import brentq, minimize  # slow to load
-
-    low, high = (np.log(sizes) for sizes in within)
-    counts = np.zeros(len(start))
-    for part in parts:
-        for group in range(len(start)):
-            of_group = part.deviations[part.groups == group]
-            counts[group] += np.linalg.matrix_rank(of_group, rtol=RANK_TOLERANCE)
-
-    def least(begin: Array, held: int | None = None, penalty: float = 0.0) -> tuple[Array, float]:
-        """Return the logarithms of least deviance, one of them held, and the deviance."""
-        free = np.arange(len(begin)) != held
-
-        def cost(values: Array) -> float:
-            logs = begin.copy()
-            logs[free] = values
-            deviance = sum(evidence.deviance(np.exp(logs)) for evidence in parts)
-            return deviance - 2.0 * penalty * float(values.sum())
-
-        logs = begin.copy()
-        if not free.any():
-            return logs, cost(logs[free])
-        bounds = np.column_stack((low, high))[free]
-        minimum = minimize(cost, logs[free], method="L-BFGS-B", bounds=bounds)
-        logs[free] = minimum.x
-        return logs, float(minimum.fun)
-
-    modes, _ = least(np.clip(np.log(start), low, high), penalty=1.0)
-    best, bottom = least(modes)
-    ends = np.empty((len(best), 2))
-    for place, middle in enumerate(best):
-
-        def above(value: float, place: int = place) -> float:
-            begin = best.copy()
-            begin[place] = value
-            return least(begin, place)[1] - bottom - rise * (1.0 + 1.0 / (3.0 * counts[place]))
-
-        for side, (end, open_end) in enumerate(((low[place], 0.0), (high[place], np.inf))):
-            closed = end != middle and above(end) > 0.0
-            between = sorted((float(end), float(middle)))
-            ends[place, side] = np.exp(brentq(above, *between)) if closed else open_end
-    return np.clip(np.exp(modes), *ends.T), ends

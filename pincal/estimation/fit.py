@@ -45,7 +45,7 @@ class Fit(SolverResult):
     outliers: tuple[Outlier, ...] = ()
     """Rows that did not fit, the worst first."""
     widening: Array | float = 0.0
-    """Added to the covariance because noise and tolerances were estimated, shape (n, n)."""
+    """Added to the covariance because the noise was estimated, shape (n, n)."""
     exact: int = 0
     """Degrees of freedom of readings whose estimated noise is at its floor (exact readings)."""
 

@@ -28,7 +28,6 @@ _NEXT = {
     "select": "Measure more poses",
     "explain": "Find out what the model lacks",
 }
-_NOTED = {"tolerance-found", "points-left-out"}  # findings listed as support of the answers
 _WRONG_ROWS = {"wrong-rows", "wrong-verification", "outliers"}
 _MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
 _HELD, _UNKNOWN = "Only frames were identified", "Not determined"
@@ -220,8 +219,9 @@ def summary(
 
 
 def _found_lines(result: CalibrationResult) -> list[str]:
-    """Return lines on estimated tolerances, points left out and coordinates never measured."""
-    lines = [sentence(finding) for finding in result.findings if finding.code in _NOTED]
+    """Return lines on points left out and coordinates never measured."""
+    left_out = (finding for finding in result.findings if finding.code == "points-left-out")
+    lines = list(map(sentence, left_out))
     data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
     missing = [bool(np.isnan(values).all()) for values in data.poses.T]
     elsewhere = data.extra or setup.distances or setup.contacts or setup.instruments

@@ -118,16 +118,6 @@ FINDINGS: dict[str, Wording] = {
         "Measure {them} again, or leave {them} out (--loss reject)",
         title="a verification row does not fit",
     ),
-    "tolerance-found": Wording(
-        "{% set kinds = {'m': 'lengths', 'rad': 'angles', '1': 'gains'}[unit] %}"
-        "{% if size|finite %}{kinds} differ from the drawing by {size|amount(unit)} (standard "
-        "deviation of {count}; 95 %: {low|amount(unit)} "
-        "{'to ' ~ high|amount(unit) if high|finite else 'or more'})"
-        "{% else %}from {count} {kinds} no tolerance can be estimated{% endif %}",
-        "{% if not size|finite %}They are free; give their tolerance (--tolerance, --priors) if "
-        "it is known{% elif not low %}They may be as drawn{% endif %}",
-        "info",
-    ),
     "few-poses": Wording(
         "{legs|join(', ')}: only {poses|counted('pose')} for {unknowns} parameters",
         "Measure {2 * unknowns - poses} more: twice as many poses as parameters are advised",
