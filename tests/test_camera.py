@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.calibration.calibrate import prepared
 from pincal.calibration.hypotheses.photos import photo_faults, pitch_faults
-from pincal.estimation.rows import turned_rows, white_rows
+from pincal.estimation.rows import split_rows, white_rows
 from pincal.formats.arm import arm
 from pincal.instruments.board import Board
 from pincal.instruments.placing import by_hand_eye
@@ -841,8 +841,8 @@ def test_the_bumped_camera_of_a_real_arm_is_named() -> None:
     assert step.values["size"] == pytest.approx(0.69e-3, rel=0.05)
 
 
-def test_rows_turned_are_rows_whitened() -> None:
-    """Of rows with noise of their own, turned or not: the same squares, products, and steps."""
+def test_rows_split_are_rows_whitened() -> None:
+    """Of rows with noise of their own, split or not: the same squares, products, and steps."""
     rng = np.random.default_rng(0)
     pose, few = rng.standard_normal((4, 30, 6)), rng.standard_normal((4, 8, 9))
     sigma = rng.uniform(0.5, 2.0, (4, 22))
@@ -851,15 +851,15 @@ def test_rows_turned_are_rows_whitened() -> None:
     noise[:, range(8, 30), range(9, 31)] = sigma
     plain, rows = white_rows(pose, noise), rng.standard_normal((4, 30, 5))
     places, columns = (np.arange(8), np.arange(8, 30)), (np.arange(9), np.arange(9, 31))
-    turned = turned_rows(pose, few, sigma, places, columns)
-    for white in (plain, turned):
-        eye = np.broadcast_to(np.eye(24), (4, 24, 24))
-        np.testing.assert_allclose(white.by_noise @ white.by_noise.swapaxes(1, 2), eye, atol=1e-12)
+    split = split_rows(pose, few, sigma, places, columns)
+    for white in (plain, split):
+        again = white.by_noise @ (white.by_noise.swapaxes(1, 2) @ white(rows))
+        np.testing.assert_allclose(again, white(rows), atol=1e-12)
         np.testing.assert_allclose(white(pose), 0.0, atol=1e-12)
-    squares = [white(rows).swapaxes(1, 2) @ white(rows) for white in (plain, turned)]
+    squares = [white(rows).swapaxes(1, 2) @ white(rows) for white in (plain, split)]
     np.testing.assert_allclose(*squares, atol=1e-12)
-    np.testing.assert_allclose(plain.poses_by(rows), turned.poses_by(rows), atol=1e-12)
+    np.testing.assert_allclose(plain.poses_by(rows), split.poses_by(rows), atol=1e-12)
     explained = [
-        white.noise @ white.by_noise.swapaxes(1, 2) @ white(rows) for white in (plain, turned)
+        white.noise @ white.by_noise.swapaxes(1, 2) @ white(rows) for white in (plain, split)
     ]
     np.testing.assert_allclose(*explained, atol=1e-12)

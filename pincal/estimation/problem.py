@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from pincal.estimation.observation import Observation
-from pincal.estimation.rows import WhiteRows, turned_rows, white_rows
+from pincal.estimation.rows import WhiteRows, split_rows, white_rows
 from pincal.estimation.unknowns import BlockRows, State
 from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.closure import LegClosure
@@ -226,25 +226,25 @@ class Linear:
         problem, n_rows = self.problem, self.problem.leg_block.n_rows
         dof, width = self.by_pose.shape[2] * problem.latent, self.by_measured.shape[2]
         single = np.flatnonzero(problem.observation.single * problem.latent)
-        turns = len(single) > _MANY * self.by_pose.shape[2]
+        splits = len(single) > _MANY * self.by_pose.shape[2]
         joint = np.setdiff1d(np.arange(len(problem.observation.units)), single)
-        quantities = joint if turns else None
+        quantities = joint if splits else None
         noise, rows = self._noise_of(quantities), np.arange(self.conditions.shape[1])
-        if turns:
+        if splits:
             rows = np.append(np.arange(n_rows), n_rows + joint)
         idle = ~problem.active[:, rows]
         if idle.any():
             size = float(np.median(np.abs(noise[noise != 0.0]))) if noise.any() else 1.0
             idle_noise = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)
             noise = np.concatenate((noise, idle_noise[:, :, idle.any(axis=0)]), axis=2)
-        if not turns:
+        if not splits:
             return white_rows(self.by_pose[:, :, :dof], noise)
         observation, count = problem.observation, width + len(joint)
         further = width + len(observation.units) + np.arange(noise.shape[2] - count)
         columns = np.concatenate((np.arange(width), width + joint, further))
         sigma = np.where(observation.measured[:, single], observation.sigma[:, single], 1.0)
         places = (rows, n_rows + single), (columns, width + single)
-        return turned_rows(self.by_pose, noise, sigma, *places)
+        return split_rows(self.by_pose, noise, sigma, *places)
 
     def whitened(self, conditions: Array) -> Array:
         """Return conditions (N, k), such as those of another state, as white rows, (N, m)."""

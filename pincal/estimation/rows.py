@@ -13,9 +13,9 @@ The left null space N of B frees the rows of the pose, L Lᵀ = (NᵀS)(NᵀS)�
 left is L⁻¹Nᵀe with the Jacobian L⁻¹NᵀA. A measured quantity of variance zero is exact; one that
 was not measured is a row with noise only.
 
-Many rows with independent noise, such as the points of a photograph, are whitened first and
-rotated by Householder reflections so that only dof of them depend on the pose. These dof rows join
-the other rows; the rest do not depend on the pose. The cost is linear in the number of rows.
+Many rows with independent noise, such as the points of a photograph, are whitened first. With
+B = Q R of these rows, Qᵀ e depends on the pose and joins the other rows. What is left,
+(1 − Q Qᵀ) e, does not depend on it. The cost is linear in the number of rows.
 """
 
 from dataclasses import dataclass, replace
@@ -30,8 +30,8 @@ from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
 
 
-class TurnedRows(NamedTuple):
-    """Rows with independent noise, rotated so that only dof of them depend on the pose.
+class SplitRows(NamedTuple):
+    """Rows with independent noise, split into dof that depend on the pose and what is left.
 
     Indices come in pairs: of all other rows or noise columns, then of the independent ones.
     """
@@ -40,17 +40,14 @@ class TurnedRows(NamedTuple):
     columns: tuple[Index, Index]
     sigma: Array
     """Standard deviations, shape (N, j)."""
-    vectors: Array
-    """Householder vectors V, shape (N, dof, j)."""
-    factors: Array
-    """T of all reflections at once, 1 − Vᵀ T V, lower triangular, shape (N, dof, dof)."""
+    range: Array
+    """Orthonormal basis Q of the range of their B, shape (N, j, dof)."""
 
     def __call__(self, rows: Array) -> tuple[Array, Array]:
-        """Return the rows that depend on the pose, and the others, from rows (N, k, n)."""
-        turned = rows[:, self.rows[1]] / self.sigma[:, :, None]
-        turned -= self.vectors.swapaxes(1, 2) @ (self.factors @ (self.vectors @ turned))
-        dof = self.factors.shape[1]
-        return np.concatenate((rows[:, self.rows[0]], turned[:, :dof]), axis=1), turned[:, dof:]
+        """Return the rows that depend on the pose, and what is left, from rows (N, k, n)."""
+        single = rows[:, self.rows[1]] / self.sigma[:, :, None]
+        along = self.range.transpose(0, 2, 1) @ single
+        return np.concatenate((rows[:, self.rows[0]], along), axis=1), single - self.range @ along
 
 
 @dataclass(frozen=True)
@@ -66,14 +63,14 @@ class WhiteRows:
     triangle: Array
     """R of B = Q R, shape (N, dof, dof)."""
     root: Array
-    """S, shape (N, k, s). Where rows were turned, these five fields are of the other rows."""
-    turned: TurnedRows | None = None
+    """S, shape (N, k, s). Where rows were split, these five fields are of the other rows."""
+    split: SplitRows | None = None
 
     def __call__(self, rows: Array) -> Array:
         """Return rows with the pose eliminated and whitened, shape (N, m, n), from (N, k, n)."""
-        if self.turned is None:
+        if self.split is None:
             return np.asarray(self.reduced @ rows) / self.scale
-        joined, free = self.turned(rows)
+        joined, free = self.split(rows)
         return np.concatenate((self.reduced @ joined / self.scale, free), axis=1)
 
     @property
@@ -84,26 +81,24 @@ class WhiteRows:
     @cached_property
     def noise(self) -> Array:
         """S of all rows, shape (N, k, s)."""
-        if self.turned is None:
+        if self.split is None:
             return self.root
-        (rows, single_rows), (columns, single) = self.turned.rows, self.turned.columns
+        (rows, single_rows), (columns, single) = self.split.rows, self.split.columns
         n_rows, n_columns = len(rows) + len(single_rows), len(columns) + len(single)
         noise = np.zeros((len(self.root), n_rows, n_columns))
         noise[:, rows[:, None], columns] = self.root[:, : len(rows), : len(columns)]
-        noise[:, single_rows, single] = self.turned.sigma
+        noise[:, single_rows, single] = self.split.sigma
         return noise
 
     @cached_property
     def by_noise(self) -> Array:
-        """W = L⁻¹NᵀS, the derivative of white rows by the noise, shape (N, m, s): W Wᵀ = 1."""
+        """W = L⁻¹NᵀS, the derivative of white rows by the noise, (N, m, s): W Wᵀ keeps these."""
         return self(self.noise)
 
     @cached_property
     def back(self) -> Array:
-        """S Wᵀ (W Wᵀ)⁻¹, the conditions that belong to white rows, shape (N, k, m)."""
-        W = self.by_noise
-        by_rows = np.linalg.solve(W @ W.transpose(0, 2, 1), W @ self.noise.transpose(0, 2, 1))
-        return np.asarray(by_rows.transpose(0, 2, 1))
+        """S Wᵀ, the conditions that belong to white rows, shape (N, k, m)."""
+        return np.asarray(self.noise @ self.by_noise.transpose(0, 2, 1))
 
     def pose_step(self, rows: Array) -> Array:
         """Return the pose steps, (N, dof), that explain rows (N, k) with the least noise."""
@@ -114,14 +109,14 @@ class WhiteRows:
 
         δx = −R⁻¹ Qᵀ (e − S Wᵀ L⁻¹Nᵀe).
         """
-        joined = rows if self.turned is None else self.turned(rows)[0]
+        joined = rows if self.split is None else self.split(rows)[0]
         W = self.reduced @ self.root / self.scale
         noise = W.transpose(0, 2, 1) @ (self.reduced @ joined / self.scale)
         residual = joined - self.root @ noise
         return -solve(self.triangle, self.range.transpose(0, 2, 1) @ residual)
 
 
-def turned_rows(
+def split_rows(
     pose: Array, noise: Array, sigma: Array, rows: tuple[Index, Index], columns: tuple[Index, Index]
 ) -> WhiteRows:
     """Return the same as ``white_rows`` for rows some of which have independent noise.
@@ -130,18 +125,12 @@ def turned_rows(
     the standard deviations of the independent ones, above zero, (N, j), j ≥ dof. Indices of rows
     and of columns of noise are those of the other rows, then of the independent ones.
     """
-    h, tau = np.linalg.qr(pose[:, rows[1]] / sigma[:, :, None], mode="raw")
-    dof = pose.shape[2]
-    triangle = np.triu(h[:, :, :dof].transpose(0, 2, 1))
-    vectors = np.triu(h, 1)
-    vectors[:, range(dof), range(dof)] = 1.0
-    unit = np.broadcast_to(np.eye(dof), (len(pose), dof, dof))
-    later = np.tril(product(vectors, vectors.swapaxes(1, 2)), -1)  # by earlier reflections
-    factors = solve(unit + tau[:, :, None] * later, tau[:, :, None] * unit)
+    basis, triangle = np.linalg.qr(pose[:, rows[1]] / sigma[:, :, None])
+    unit = np.broadcast_to(np.eye(pose.shape[2]), triangle.shape)
     joined = white_rows(
         np.concatenate((pose[:, rows[0]], triangle), axis=1), block_diagonal((noise, unit))
     )
-    return replace(joined, turned=TurnedRows(rows, columns, sigma, vectors, factors))
+    return replace(joined, split=SplitRows(rows, columns, sigma, basis))
 
 
 def white_rows(pose: Array, noise: Array) -> WhiteRows:
