@@ -143,19 +143,16 @@ def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
     check_rank(problem, unknowns, first)
     start = first if near else _easier_start(system, first)
     solution = optimum(system, start, system.cost(first), near=near)
-    if system.known:  # at the start of a search a pose may be too near to a singularity
-        check_information(problem, unknowns, (first, solution.last))
     check_rank(problem, unknowns, solution.last, ended=True)
     end = Fit(**vars(solution), system=system, first=first)
-    if not system.known:
-        n, dof = unknowns.n_free, end.degrees_of_freedom
-        if dof < 1:
-            raise ObservabilityError(
-                f"{dof + n} equations for {n} parameters, and the scale of the noise is not known; "
-                "measure more, or give the noise"
-            )
-        judged = (end.last, end.noise_scale) if solution.converged else (first, 1.0)
-        check_information(problem, unknowns, judged[:1], judged[1])
+    n, dof = unknowns.n_free, end.degrees_of_freedom
+    if not system.known and dof < 1:
+        raise ObservabilityError(
+            f"{dof + n} equations for {n} parameters, and the scale of the noise is not known; "
+            "measure more, or give the noise"
+        )
+    if not problem.latent:  # at the start of a search a pose may be too near to a singularity
+        check_information(problem, unknowns, (first, end.last), end.noise_scale)
     return end
 
 

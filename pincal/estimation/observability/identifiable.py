@@ -3,8 +3,9 @@
 Observability is judged by singular values, by the diagonal of R in C = Q R, and by rank, with the
 groups of parameters that are identifiable only together. Poses that leave parameters undetermined
 lose rank; but the noise of measured poses gives every Jacobian full rank, and a fit would read
-parameters out of the noise. So each direction in parameter space must carry clearly more
-information than comes from the noise of the poses, drawn once more.
+parameters out of the noise. Where all legs are identified at once, directions are held along which
+parameters are known worse than from the drawing. Of a leg alone, at poses as measured, each
+direction must carry clearly more information than comes from their noise, drawn once more.
 """
 
 from __future__ import annotations
@@ -279,7 +280,7 @@ def check_rank(
 def check_information(
     problem: Problem, unknowns: Unknowns, places: Sequence[Linear], scale: float = 1.0
 ) -> None:
-    """Raise if some direction in parameter space is observed by the noise of the poses only.
+    """Raise if some direction in parameter space is observed by the noise of measured poses only.
 
     It is enough that all directions are observed at one of several places. ``scale`` multiplies
     the noise.
@@ -288,16 +289,10 @@ def check_information(
         ObservabilityError: a direction is not observed; the message names its parameters.
     """
     roots = problem.leg_block.pose_roots
-    for linear in places:  # poses are drawn with the errors that measurements leave them
-        rng, white = np.random.default_rng(0), linear.white
-        if roots is None:
-            W = white.by_noise
-            draws = rng.standard_normal((len(W), W.shape[2], 1))
-            hidden = draws - W.transpose(0, 2, 1) @ (W @ draws)  # noise that is not in white rows
-            twists = white.poses_by(white.noise @ hidden)
-        else:
-            twists = roots @ rng.standard_normal((*roots.shape[:2], 1))
-        matrices = problem.platform.displaced(linear.state.matrices, twists[:, :, 0])
+    assert roots is not None
+    for linear in places:
+        draws = np.random.default_rng(0).standard_normal((*roots.shape[:2], 1))
+        matrices = problem.platform.displaced(linear.state.matrices, (roots @ draws)[:, :, 0])
         drawn = problem.evaluate(replace(linear.state, matrices=matrices)).noise_by_parameter
         difference = (drawn - linear.noise_by_parameter) @ unknowns.map
         rows = unknowns.free_rows(linear.triangle)  # the same information as J, since W Wᵀ = 1
