@@ -89,13 +89,13 @@ def moved_cameras(fits: Fits) -> list[Finding]:
     if not any(chance < FALSE_ALARM for chance, *_ in _camera_steps(fits)):
         return []
     fits = with_misfit_as_noise(fits)
-    chance, _, alike, name, row, moved = min(_camera_steps(fits), key=lambda case: case[:2])
+    chance, _, correlated, name, row, moved = min(_camera_steps(fits), key=lambda case: case[:2])
     fit, state = fits.fits[0], fits.fits[0].last.state
     observation = fit.problem.observation.at(np.arange(row, len(fit.rows)))
     metres = observation.metres_per_pixel(state.matrices[row:], state.external)
     pixels, sigma = moved[:, -metres.shape[1] :], observation.sigma
     seen = pixels != 0.0
-    if chance >= FALSE_ALARM or alike or not np.mean((pixels[seen] / sigma[seen]) ** 2) > 1.0:
+    if chance >= FALSE_ALARM or correlated or not np.mean((pixels[seen] / sigma[seen]) ** 2) > 1.0:
         return []
     size = float(np.sqrt(2.0 * np.mean((pixels * metres)[seen] ** 2)))
     rows, camera = (int(fit.rows[row]),), {"what": "camera", "name": name, "unit": "m"}
@@ -119,9 +119,9 @@ def _camera_steps(fits: Fits) -> Iterator[tuple[float, float, bool, str, int, Ar
         J = jacobian[:, :, columns]
         scaled = np.linalg.pinv(np.linalg.qr(J.reshape(-1, 6), mode="r"))  # all six alike
         row, after, step = residuals.step(J @ scaled)
-        alike = residuals.alike_after(after, J @ scaled) != 0.0
+        correlated = residuals.alike_after(after, J @ scaled) != 0.0
         moved = linear.by_parameter[row:][:, :, columns] @ (scaled @ step.values)
-        yield step.p_value * len(cameras), -step.inside, alike, camera.name, row, moved
+        yield step.p_value * len(cameras), -step.inside, correlated, camera.name, row, moved
 
 
 def _explaining(

@@ -128,17 +128,22 @@ def _courses(fit: Fit, subjects: Sequence[Test], used: Index) -> Iterator[Test]:
         for (reading, _), W in zip(readings, rows, strict=True):
             if term != "order":  # a drift is tested already
                 yield replace(reading, term=term), W
-        every, widths = Score("quantity", ALL, term=term), dict.fromkeys(W.shape[2] for W in rows)
-        for width in widths if len(rows) > 1 else ():  # [rad] and [m] differ
-            yield every, np.sum([W for W in rows if W.shape[2] == width], axis=0)
-        if len(rows) > 1 and term != "pose":  # motors differ in amplitude
-            yield every, np.concatenate(rows, axis=2)
+        yield from _of_all_readings(term, rows) if len(rows) > 1 else ()
     grown = np.zeros((len(fit.unknowns.labels), 1))
     for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True):
         of_leg = [leg.units[n] == "m" and n not in leg.amplitudes for n in leg.parameter_names]
         grown[columns, 0] = np.where(of_leg, fit.parameters[columns], 0.0)
     growth = (fit.last.jacobian[used] @ grown) * time[:, None]
     yield Score("quantity", LENGTHS, term="order"), growth
+
+
+def _of_all_readings(term: str, rows: Sequence[Array]) -> Iterator[Test]:
+    """Yield a course of all readings, whose white rows are given, as one error and as several."""
+    score = Score("quantity", ALL, term=term)
+    for width in dict.fromkeys(W.shape[2] for W in rows):  # [rad] and [m] differ
+        yield score, np.sum([W for W in rows if W.shape[2] == width], axis=0)
+    if term != "pose":  # motors differ in amplitude
+        yield score, np.concatenate(rows, axis=2)
 
 
 def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
