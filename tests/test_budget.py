@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 262,
     "architectures": 616,
-    "calibration": 6_792,
+    "calibration": 6_700,
     "cli": 2_670,
     "design": 2_537,
-    "estimation": 4_417,
+    "estimation": 4_285,
     "files": 3_258,
     "formats": 3_669,
     "instruments": 1_547,
@@ -26,7 +26,7 @@ LINES = {
     "model": 3_552,
     "show": 3_909,
     "symmetry": 1_191,
-    "words": 962,
+    "words": 952,
     "workspace": 1_445,
 }
 """Most lines of each room; a room that is not listed may have none."""
