@@ -246,7 +246,8 @@ def test_frame_and_target_are_tried_together(tmp_path: Path) -> None:
     assert "--unknown-frame --unknown-target" in outcome.out
 
 
-@pytest.mark.parametrize("fault", [pytest.param("sign", marks=pytest.mark.slow), "coupled"])
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["sign", "coupled"])
 def test_a_fault_of_an_arm_that_bends_is_mended(fault: str, tmp_path: Path) -> None:
     """A column's sign, or a joint read without the one before it; reflectors named by a setup.
 
