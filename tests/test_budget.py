@@ -15,10 +15,10 @@ from tools.counts import count, count_revision, main  # noqa: E402
 LINES = {
     "": 262,
     "architectures": 616,
-    "calibration": 6_700,
+    "calibration": 6_702,
     "cli": 2_670,
     "design": 2_537,
-    "estimation": 4_285,
+    "estimation": 4_281,
     "files": 3_258,
     "formats": 3_669,
     "instruments": 1_547,

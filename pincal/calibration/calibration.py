@@ -137,10 +137,10 @@ class Calibration:
         data = self.measurements
         counted = ~data.verifying
         counted[[row for _, row in self.copies]] = False
-        runs = data.runs or ("",) * len(data)
+        places, runs = (names or ("",) * len(data) for names in (data.places, data.runs))
         keys: set[tuple[str, str, bytes]] = set()
-        for row, key in enumerate(zip(data.places or runs, runs, self._values, strict=True)):
-            counted[row] &= not (data.places and key[0]) or key not in keys
+        for row, key in enumerate(zip(places, runs, self._values, strict=True)):
+            counted[row] &= not key[0] or key not in keys
             keys.add(key)
         return counted
 

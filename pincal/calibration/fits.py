@@ -214,7 +214,7 @@ def _all_legs(
     known, former = calibration.noise.known, begin if rows is None else None
     counts, rejects, progress = calibration.counts, options.rejects, options.progress
     tolerance = _AUXILIARY if calibration.fixed_noise else NEGLIGIBLE
-    system = System(problem, free, counts, known, rejects, patience, False, tolerance, progress)
+    system = System(problem, free, counts, known, rejects, patience, tolerance, progress=progress)
     if options.strict:
         fit, held = fit_strictly(mechanism, system, start), None
     else:

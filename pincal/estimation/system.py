@@ -8,7 +8,7 @@ residuals in standard deviations. The tuning constant is the usual one of a sing
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -81,16 +81,12 @@ class System:
     """Whether rows that do not fit are to be left out; a search weighs them by Cauchy's loss."""
     max_steps: int | None = None
     """Steps after which a search stops; None for the usual number."""
-    adjusted: bool = False
-    """Whether conditions are taken at adjusted readings."""
     tolerance: float = NEGLIGIBLE
     """Distance from the optimum at adjusted readings at which a search ends, [σ]."""
+    adjusted: bool = False
+    """Whether conditions are taken at adjusted readings."""
     progress: Callable[[str], None] | None = None
     """Called with a text that says what is being done."""
-
-    def with_priors(self, priors: Array) -> System:
-        """Return the system with other standard deviations of nominal values, shape (n,)."""
-        return replace(self, unknowns=replace(self.unknowns, priors=priors))
 
     def weights(self, squares: Array) -> Array:
         """Return the weights of rows by their χ², shape (N,)."""

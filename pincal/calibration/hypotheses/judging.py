@@ -149,9 +149,10 @@ def case_of(calibration: Calibration, frame: External | None = None) -> Case | N
     if not np.isfinite(data.poses).any():
         counts = {n: np.isfinite(data.extra.get(f"{n}_x", np.nan)).sum() for n in setup.targets}
         name = max(counts, key=counts.__getitem__)
+        poses = data.poses.copy()
         for place, axis in enumerate("xyz"[: calibration.mechanism.platform.lengths]):
-            positions = data.extra.get(f"{name}_{axis}", np.full(len(data), np.nan))
-            data = replace(data, poses=np.insert(data.poses[:, :-1], place, positions, axis=1))
+            poses[:, place] = data.extra.get(f"{name}_{axis}", np.nan)
+        data = replace(data, poses=poses)
     target = setup.targets[name]
     if frame is not None and target.unknown:
         x, y, z = frame.offsets[[*setup.targets].index(name)].tolist()
@@ -355,7 +356,8 @@ def _nearest(calibration: Calibration, part: Index, place: int) -> Array:
         conditions = nominal.conditions
         for _ in range(_STEPS):
             squares = (nominal.whitened(conditions) ** 2).sum(axis=1)
-            scaled = system.with_priors(differ / system.scale(squares))
+            priors = differ / system.scale(squares)
+            scaled = replace(system, unknowns=replace(free, priors=priors))
             step = NormalEquations.of(scaled.triangle(nominal, system.weights(squares))).step()
             step /= max(1.0, float(np.abs(step / differ).max(initial=0.0)))
             conditions = nominal.after(step)
