@@ -86,6 +86,22 @@ def test_a_frame_found_by_the_fit_hides_no_sign(
     assert words in said(mechanism, other_sign(data, column), setup=FRAME)
 
 
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ({"noise": pincal.Noise(2e-5)}, "exact readings contradict each other"),
+        ({"fixed": ["nothing"]}, "no parameter 'nothing'"),
+        ({"tied": ["nothing"]}, "no parameter 'nothing'"),
+    ],
+)
+def test_a_wrong_option_is_not_laid_to_a_strange_row(option: dict[str, Any], words: str) -> None:
+    """What is refused for its options says so, whatever else a row has."""
+    mechanism, data = measured("4cable", 0.2, 24)
+    slipped = put(data, "poses", np.s_[3, 0], 0.5)
+    with pytest.raises(pincal.MeasurementError, match=words):
+        pincal.calibrate(mechanism, slipped, **option)
+
+
 @pytest.mark.slow
 def test_a_slip_is_named_first() -> None:
     """One cell typed as 0 spoils the fit of all rows: its row is named before all else."""

@@ -68,6 +68,13 @@ def test_rows_are_made_once_and_go_on_where_they_ended(tmp_path: Path) -> None:
         assert path.read_bytes() == foreign
 
 
+def test_a_folder_in_the_place_of_a_table_is_said_in_words(tmp_path: Path) -> None:
+    """No number of an error of the system is printed."""
+    with pytest.raises(pincal.FileError, match="away, or name another: Is a directory") as refused:
+        RowFile(tmp_path, ["number"]).read()
+    assert "Errno" not in str(refused.value)
+
+
 def test_what_is_wrong_with_a_file_is_said_of_it(tmp_path: Path) -> None:
     """A folder among tables, a setup or plan that is not there: exit code 2, nothing written."""
     machine, table = tmp_path / "line" / "a.csv", tmp_path / "t.csv"

@@ -242,7 +242,7 @@ def _with_terms(calibration: Calibration) -> Calibration:
 def explained_error(calibration: Calibration, error: Exception) -> Exception:
     """Return the error to raise for a failed fit: the fault that explains it, if there is one."""
     faults = plausibility.explain_misfit(calibration)
-    if isinstance(error, ObservabilityError):  # a few strange rows do not cause that
+    if not isinstance(error, (MisfitError, np.linalg.LinAlgError)):  # no strange row causes that
         faults = tuple(fault for fault in faults if fault.severity == "error")
     if faults:
         return MisfitError(sentences(faults)[0])

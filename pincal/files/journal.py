@@ -43,13 +43,11 @@ class RowFile:
         Raises:
             FileError: the file has other columns, or cannot be read.
         """
-        try:
+        with explaining(f"move {self.path} away, or name another", ValueError, csv.Error):
             lines = read_lines(self.path, self.columns) if self.path else self._lines
             cells = np.array(lines, dtype=object).reshape(-1, len(self.columns)).T
             columns = dict(zip(self.columns, cells, strict=True))
             return {n: v if n in TEXTS else v.astype(float) for n, v in columns.items()}
-        except (OSError, ValueError, csv.Error) as error:
-            raise FileError(f"{error}; move {self.path} away, or name another") from error
 
     def add(self, rows: Sequence[Row]) -> None:
         """Add rows.
