@@ -19,7 +19,7 @@ LINES = {
     "cli": 2_670,
     "design": 2_537,
     "estimation": 4_281,
-    "files": 3_258,
+    "files": 3_256,
     "formats": 3_669,
     "instruments": 1_547,
     "kinematics": 3_411,
