@@ -18,7 +18,7 @@ LINES = {
     "calibration": 6_702,
     "cli": 2_670,
     "design": 2_537,
-    "estimation": 4_281,
+    "estimation": 4_291,
     "files": 3_256,
     "formats": 3_669,
     "instruments": 1_547,

@@ -270,6 +270,31 @@ def test_exact_readings_near_singularities_lead_nowhere_else(
     assert result.noise.position == pytest.approx(2e-5, rel=0.5)
 
 
+ROWS_BESIDE_A_SINGULARITY = [
+    [0.3890747, -0.1981961, 0.3708077, -0.1136493, 0.5607856, 0.3354039],
+    [0.0638275, 0.4767206, 0.4185649, 0.147472, -0.1552721, 0.6080902],
+    [0.4706479, -0.3198834, 0.2764126, -0.1401636, 0.7009864, 0.2396562],
+    [-0.2960785, 0.1580694, -0.268937, 0.791962, 0.1921472, 0.5740308],
+    [-0.489148, -0.3454337, -0.1867357, 0.8893796, 0.4152079, 0.0120313],
+    [-0.2196034, 0.2926493, -0.3031615, 0.7118869, 0.1413535, 0.6881723],
+    [-0.1571176, -0.3431563, -0.3185177, 0.7043341, 0.6973321, 0.1266177],
+    [-0.0166362, 0.5981183, -0.1820992, 0.3412376, 0.0446568, 0.8999357],
+    [0.0605341, 0.470286, 0.4241942, 0.1533837, -0.1565925, 0.6005557],
+    [-0.5538799, -0.2841946, 0.16044, 0.7953056, 0.2497008, -0.107309],
+]
+"""Poses [m, rad] and readings [rad] of a 3-RRR, simulated; the seventh is beside a singularity."""
+
+
+def test_a_pose_beside_a_singularity_does_not_end_the_search() -> None:
+    """It has no solution near the drawing: each step left it elsewhere, and was refused (χ² 43)."""
+    measured = np.array(ROWS_BESIDE_A_SINGULARITY)
+    data = pincal.Measurements(poses=measured[:, :3], readings=measured[:, 3:])
+    noise = pincal.Noise(1e-4, 1e-4)
+    result = pincal.calibrate(pincal.load_mechanism("3RRR"), data, noise=noise, rough=True)
+    assert result.converged
+    assert result.reduced_chi2 < 3.0
+
+
 GROSS = ("5R", "3RRR", "6UPS")
 
 

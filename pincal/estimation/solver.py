@@ -189,13 +189,15 @@ def _tolerance(system: System, current: Iterate, enough: float) -> float:
     return max(NO_STEP, rounding(system, current.linear), enough * float(deviation))
 
 
-def _accepted(system: System, current: Iterate, trial: Iterate, highest: float) -> bool:
+def _accepted(system: System, current: Iterate, trial: Iterate | None, highest: float) -> bool:
     """Return whether a step lowers the cost or, where rounding hides that, the distance.
 
     The cost takes the weights at the start of the step, which bound a robust cost from above
     (majorisation). Rows are whitened as at the end of the step; near the optimum as at its start,
     if the distance falls too: otherwise steps go back and forth.
     """
+    if trial is None:
+        return False
     nearer = trial.normal.decrement < current.normal.decrement
     if current.blind:
         return nearer
@@ -228,14 +230,19 @@ def _step(
 ) -> tuple[Iterate | None, Array]:
     """Return the end of a damped step (None if refused), and the step.
 
-    A step that is refused, as in a curved valley, is bent by how far the conditions at its end are
-    from linear (M. K. Transtrum and J. P. Sethna 2012), unless the bend is nearly as long.
+    A step that is refused is taken once more without the poses that cannot be solved, as beside a
+    singularity: each solution leaves them at another place. One in a curved valley is bent by how
+    far the conditions at its end are from linear (M. K. Transtrum and J. P. Sethna 2012), unless
+    the bend is nearly as long.
     """
     normal, linear, T = current.normal, current.judged, system.unknowns.map
     step = normal.step(damping)
     trial = _end_of_step(system, current, step)
     if trial is None or _accepted(system, current, trial, highest):
         return trial, step
+    if (astray := unsolved(current.linear)).any():
+        without = _end_of_step(system, current, step, astray)
+        return without if _accepted(system, current, without, highest) else None, step
     if current.blind:
         return None, step
     off = linear.whitened(trial.judged.conditions) - linear.residuals
@@ -247,16 +254,19 @@ def _step(
     if not bend_length < _BENT * length:
         return None, step
     trial = _end_of_step(system, current, step + bend)
-    taken = trial is not None and _accepted(system, current, trial, highest)
-    return trial if taken else None, step
+    return trial if _accepted(system, current, trial, highest) else None, step
 
 
-def _end_of_step(system: System, current: Iterate, step: Array) -> Iterate | None:
-    """Return the end of a step of the free unknowns, poses solved; None if it does not exist."""
+def _end_of_step(
+    system: System, current: Iterate, step: Array, fixed_poses: Mask | bool = False
+) -> Iterate | None:
+    """Return the end of a step, poses solved but for fixed ones; None if it does not exist."""
     try:
         with np.errstate(all="ignore"):
-            state = current.linear.moved(system.unknowns.map @ step)
-            trial = solve_poses(system.problem.evaluate(state))
+            state, before = current.linear.moved(system.unknowns.map @ step), current.linear.state
+            stays = np.reshape(fixed_poses, (-1, 1, 1))
+            state = replace(state, matrices=np.where(stays, before.matrices, state.matrices))
+            trial = solve_poses(system.problem.evaluate(state), fixed_poses)
             finite = np.isfinite(trial.residuals).all() and np.isfinite(trial.by_parameter).all()
             return Iterate.of(system, trial) if finite else None
     except (MeasurementError, np.linalg.LinAlgError):
@@ -271,13 +281,13 @@ def rounding(system: System, linear: Linear) -> float:
     return float(noise * np.sqrt(system.unknowns.n_free / rows))
 
 
-def solve_poses(linear: Linear) -> Linear:
-    """Return the conditions with poses solved to second order.
+def solve_poses(linear: Linear, fixed_poses: Mask | bool = False) -> Linear:
+    """Return the conditions with poses solved to second order, but for fixed ones.
 
     Each pose takes Gauss–Newton steps, shortened until the next step is shorter (natural
     monotonicity); a pose without such a step stays where it is.
     """
-    problem, share = linear.problem, np.ones(len(linear.conditions))
+    problem, share = linear.problem, np.where(fixed_poses, 0.0, np.ones(len(linear.conditions)))
     if not problem.latent:
         return linear
     for _ in range(_POSE_STEPS):
