@@ -79,6 +79,12 @@ REFUSE: dict[str, Callable[[Any], object]] = {
     "plan": lambda bad: pincal.simulate(FIVE, FIVE, bad),
     "poses": lambda bad: pincal.inverse(FIVE, bad),
     "positions": lambda bad: pincal.compute_workspace(FIVE, "reachable", bad),
+    "progress": lambda bad: pincal.calibrate(FIVE, DATA, progress=bad),
+    "progress of a choice": lambda bad: pincal.select(FIVE, count=8, progress=bad),
+    "progress of samples": lambda bad: pincal.sample_workspace(FIVE, 3, progress=bad),
+    "progress of a workspace": lambda bad: pincal.compute_workspace(
+        FIVE, "reachable", GRID, progress=bad
+    ),
     "protocol": lambda bad: pincal.select_poses(FIVE, POSES, 3, bad),
     "readings": lambda bad: pincal.forward(FIVE, bad),
     "priors": lambda bad: pincal.Options(priors=[[bad]]),

@@ -176,6 +176,54 @@ def test_noise_in_another_proportion_is_seen() -> None:
     assert codes & {"noise-in-other-proportion", "chi2-too-large"}
 
 
+def codes_of(one: Machine, noise: pincal.Noise, given: pincal.Noise, seed: int) -> set[str]:
+    """Return the codes of what is found in data with noise, another being given."""
+    result = pincal.calibrate(one.nominal, drawn(one, noise, seed), noise=given)
+    contradicted = {"contradicted"} if result.contradictions else set[str]()
+    return contradicted | {remark.code for remark in result.findings}
+
+
+@pytest.mark.parametrize("kind", ["5R", "3RRR", "6UPS"])
+def test_readings_called_exact_are_not_passed_over(kind: str) -> None:
+    """Where ten poses do not contradict noise of the readings, they say so; more poses do test it.
+
+    Nothing is said where the noise is given, or where 72 poses agree with exact readings.
+    """
+    ten, exact = machine(kind, 10), replace(NOISE, reading=0.0)
+    for seed in range(6):
+        assert codes_of(ten, NOISE, exact, seed) & {"contradicted", "readings-exact"}
+        assert "readings-exact" not in codes_of(ten, NOISE, NOISE, seed)
+    many = machine(kind, 72)
+    assert codes_of(many, NOISE, exact, 0) & {"noise-in-other-proportion", "chi2-too-large"}
+    assert not codes_of(many, exact, exact, 0) & {"readings-exact", "noise-in-other-proportion"}
+
+
+def test_the_noise_named_for_exact_readings_widens_an_interval_by_a_quarter() -> None:
+    """Noise that is named moves a parameter by 0.75 of its standard error, by differences."""
+    one, exact, h = machine("5R", 10), replace(NOISE, reading=0.0), 1e-7
+    data = drawn(one, exact, 0)
+
+    def moved(more: Array) -> Array:
+        shifted = replace(data, readings=data.readings + more)
+        return values_of(pincal.calibrate(one.nominal, shifted, noise=exact))[0]
+
+    steps = h * np.eye(data.readings.size).reshape(-1, *data.readings.shape)
+    by_readings = np.array([(moved(step) - moved(-step)) / (2.0 * h) for step in steps])
+    result = pincal.calibrate(one.nominal, data, noise=exact)
+    (remark,) = (remark for remark in result.findings if remark.code == "readings-exact")
+    added = remark.values["reading"] * np.linalg.norm(by_readings, axis=0) / values_of(result)[1]
+    assert np.hypot(1.0, added.max()) == pytest.approx(1.25, rel=1e-3)
+
+
+def test_noise_of_readings_called_exact_is_seen_in_thirty_rows() -> None:
+    """A 5R's χ² may be that of its noise: the score of the readings is tested as well."""
+    one, exact = machine("5R", 30), pincal.Noise(2e-5, 5e-5, 0.0)
+    data = drawn(one, replace(exact, reading=2e-5), 0)
+    (lack,) = pincal.calibrate(one.nominal, data, noise=exact).contradictions
+    assert lack.code == "noise-in-other-proportion"
+    assert lack.values["reading"] == pytest.approx(2e-5, rel=0.5)
+
+
 @pytest.mark.parametrize("count", [100, 10_000])
 def test_rows_are_suspected_together(count: int) -> None:
     """One set of good rows in a hundred has any that is suspected: 300 sets, to three errors."""

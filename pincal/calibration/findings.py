@@ -10,7 +10,9 @@ from pincal.calibration.hypotheses.photos import moved_cameras
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import IdentifiedParameter
+from pincal.estimation.components import READINGS, Moments
 from pincal.estimation.fit import Fit, Outlier
+from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.courses import Score, scores
 from pincal.estimation.observability.identifiable import plausible_changes
 from pincal.estimation.observability.residuals import together
@@ -23,6 +25,8 @@ from pincal.words.findings import finding
 
 MANY_ROWS = 0.1  # share of rows that do not fit, above which the noise or the model is doubted
 _FEW_RESIDUALS = 1.5  # residuals per parameter, below which more poses are advised
+_WIDER = 1.25  # factor by which a ± that is too small matters
+_SHOWN = 3.0  # standard deviations of a score, from which a test sees it
 _EXPLAINS = 0.25  # share of the excess of χ², above which a course is its cause
 _REPEATS = 4  # measurements of a pose, from which its motion is tested
 _SPREAD = 0.5  # share of the run over which these must be spread
@@ -120,28 +124,49 @@ def noise_values(result: CalibrationResult, noise: Noise) -> dict[str, Any]:
 def _noise_proportion(fits: Fits) -> list[Finding]:
     """Return a finding if some measured quantities are noisier than given, others less.
 
-    It is a score test of variance components at the given noise: q has the mean F 1 and the
+    It is a score test of variance components at the given noise s: q has the mean F s and the
     covariance 2 F, plus that of the noise where repeated rows show it; its cube roots are nearly
     normal (E. B. Wilson, M. M. Hilferty 1931). Separate legs, which share noise, are not tested.
     """
-    noise = fits.calibration.noise
+    noise, machine = fits.calibration.noise, fits.calibration.mechanism
     if not (fits.latent and noise.known):
         return []
-    moments = fits.moments
-    readings = any(fit.problem.leg_block.sigma.any() for fit in fits.fits)
-    testable = np.array([True, True, readings and noise.source != "rows", True])[: len(moments.F)]
+    moments, exact = fits.moments, not any(fit.problem.leg_block.sigma.any() for fit in fits.fits)
+    names = np.array(["positions", "orientations", "readings", "pixels"])[: len(moments.F)]
+    testable = (names != "readings") | exact | (noise.noise.reading > 0.0)
     groups = np.flatnonzero(testable & (np.diagonal(moments.F) > 0.0))
-    F = moments.F[np.ix_(groups, groups)]
-    q, expected, variances = moments.q[groups], F.sum(axis=0), np.linalg.pinv(F) @ moments.q[groups]
+    F, given = moments.F[np.ix_(groups, groups)], 1.0 - exact * (groups == READINGS)
+    q, expected, variances = moments.q[groups], F @ given, np.linalg.pinv(F) @ moments.q[groups]
     spread = 2.0 * F + F @ np.diag([2.0 / noise.freedoms[group] for group in groups]) @ F
     spread /= np.outer(expected, expected)
     excesses = 3.0 * (np.cbrt(q / expected) - 1.0) + np.diagonal(spread) / 3.0
     p_value = float(chdtrc(len(groups), excesses @ np.linalg.pinv(spread) @ excesses))
-    if p_value >= FALSE_ALARM or len(groups) < 2 or not variances.max() > 1.0:
+    larger = np.where(given > 0.0, variances, q / expected) > 1.0
+    usual, unit = assumed_noise(machine, exact=False).reading, machine.reading_units[0]
+    if p_value < FALSE_ALARM and len(groups) > 1 and larger.any():
+        sizes = np.sqrt(variances.clip(0.0)).tolist()
+        ratios = dict(zip(names[groups].tolist(), sizes, strict=True))
+        reading = usual * ratios.pop("readings") if exact else None
+        values: dict[str, Any] = {"ratios": ratios, "p_value": p_value, "reading": reading}
+        return [finding("noise-in-other-proportion", unit=unit, **values)]
+    if not exact or (harmful := _harmful_noise(moments)) >= 1.0:
         return []
-    names = ("positions", "orientations", "readings", "pixels")
-    ratios = {names[g]: float(np.sqrt(max(v, 0.0))) for g, v in zip(groups, variances, strict=True)}
-    return [finding("noise-in-other-proportion", ratios=ratios, p_value=p_value)]
+    rows = len(fits.calibration.measurements)
+    return [finding("readings-exact", reading=usual * harmful, unit=unit, total=rows)]
+
+
+def _harmful_noise(moments: Moments) -> float:
+    """Return from where noise of readings taken as exact spoils a ±; infinite if the rows show it.
+
+    It is relative to the noise of the moments. Its square s multiplies variances of unknowns by
+    1 + s g, and moves the score of the readings by F s / √(2 F) standard deviations.
+    """
+    _, P, by_rows = moments.parts[0]
+    W = by_rows[:, by_rows.any(axis=0)]
+    growth = np.einsum("in,ij,jn->n", W, P[READINGS], W) / (W**2).sum(axis=0)
+    harmful = (_WIDER**2 - 1.0) / max(growth.max(initial=0.0), 1e-300)
+    shown = harmful * np.sqrt(moments.F[READINGS, READINGS] / 2.0) >= _SHOWN
+    return np.inf if shown else float(np.sqrt(harmful))
 
 
 def lacking(fits: Fits) -> list[Finding]:
@@ -183,8 +208,7 @@ def _named_error(p_value: float, worst: Score, fit: Fit, data: Measurements) -> 
         return finding("model-lacks", term=worst.term, **values)
     size: dict[str, Any] = {"size": worst.total, "unit": worst.unit, "p_value": p_value}
     if worst.term == "step":
-        row = int(fit.rows[worst.row])
-        return finding("step", (row,), what=worst.what, name=worst.name, **size)
+        return finding("step", fit.rows[[worst.row]], what=worst.what, name=worst.name, **size)
     rows = fit.rows[_repeated_poses(data, fit.rows)[worst.place]]
     return finding("reference-moved", rows, pose=worst.place, quantity=worst.name, **size)
 

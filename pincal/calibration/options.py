@@ -71,8 +71,7 @@ def _regions(readings: Array, count: int) -> Index:
     """Return the region of each row, shape (N,), by repeated halving along the widest reading."""
     if count == 1:
         return np.zeros(len(readings), dtype=np.intp)
-    spread = np.ptp(readings, axis=0)
-    order = np.argsort(readings[:, int(np.argmax(spread))], kind="stable")
+    order = np.argsort(readings[:, np.ptp(readings, axis=0).argmax()], kind="stable")
     first = count // 2
     low, high = np.split(order, [round(len(order) * first / count)])
     folds_of_rows = np.empty(len(readings), dtype=np.intp)
@@ -158,6 +157,7 @@ class Options:
             choice_of(getattr(self, name), get_args(known), name, MeasurementError)
         must_be(self.noise, (Noise, type(None)), "noise", MeasurementError)
         must_be(self.setup, Setup, "setup", MeasurementError)
+        must_be(self.progress, (Callable, type(None)), "progress", MeasurementError)
         if not isinstance(self.folds, int) or self.folds < 0 or self.folds == 1:
             raise MeasurementError(
                 f"--folds {self.folds!r}: expected 2 or more, or 0 for no held-out validation; "

@@ -8,6 +8,7 @@ calibrated machine at its readings against the measurements, noise included.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.special import bdtrc, chdtrc, chdtri, ndtr
@@ -59,8 +60,7 @@ def with_validation(
 def _held_out(fits: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]]:
     """Return the errors at rows held out of fits, and wrong verification rows.
 
-    Errors are without the wrong rows and rejected rows. Folds are used if no
-    verification row remains.
+    Errors are without wrong and rejected rows. Folds are used if no verification row remains.
     """
     robust = fits.calibration.options.rejects
     calibration = fits.calibration.with_options(loss="none")
@@ -91,12 +91,10 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     _check_touched(calibration, groups)
     count, chances, drawn, of_folds = int(groups.max()) + 1, [], [], []
     sigma = np.full(len(groups), np.nan)
-    at_fit = misses_of(
-        calibration.rows(calibration.counts), fits_of_all.parameters, fits_of_all.external
-    )
+    counted = calibration.rows(calibration.counts)
+    at_fit = misses_of(counted, fits_of_all.parameters, fits_of_all.external)
     misses = {target: np.full(len(groups), np.nan) for target in at_fit}
-    dof = fits_of_all.degrees_of_freedom
-    chi2 = fits_of_all.chi2
+    dof, chi2 = fits_of_all.degrees_of_freedom, fits_of_all.chi2
     # verification rows, and distances between rows of two folds, are in no fit
     open_ends = [(groups < 0).any(), calibration.observation.setup.between_rows]
     total = None if any(open_ends) else chi2
@@ -119,30 +117,21 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
         of_folds.append([*sums.sum(axis=0)[1:], fits.chi2 / max(fits.degrees_of_freedom, 1)])
         drawn.append(_drawn_errors(fits, held, predicted[0][2], unit, fold))
-    fit, p_value = float(np.sqrt(chi2 / max(dof, 1) / unit)), least_of_folds(chances)
+    fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
+    p_value = float(bdtrc(0, count, min(chances)))  # of the least of all folds (Šidák 1967)
     of_all = [*np.sum(of_folds, axis=0)[:3], chi2 / max(dof, 1)]
-    error, expected = _held_out_and_expected(of_all, unit)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and open_ends[0]
     strays = _stray_rows(fits, predicted, sums, unit, rows, variances) if may_be_wrong else []
     worst = int(np.argmin(chances))
-    of_worst = _held_out_and_expected(of_folds[worst], unit)
-    worse = finding(
-        "held-out-worse",
-        kind=KINDS[count > 1],
-        fold=worst + 1,
-        folds=count,
-        held_out=of_worst[0],
-        expected=of_worst[1],
-        p_value=p_value,
-    )
+    of_worst = _held_out_and_expected(of_folds[worst], unit) | {"fold": worst + 1, "folds": count}
+    worse = finding("held-out-worse", kind=KINDS[count > 1], p_value=p_value, **of_worst)
     places = np.array(clusters(calibration.measurements))
     validation = Validation(
         folds=count,
         rows=int((groups >= 0).sum()),
         fit=fit,
-        held_out=error,
-        expected=expected,
+        **_held_out_and_expected(of_all, unit),
         p_value=p_value,
         findings=(worse,) if is_worse else (),
         sigma=sigma,
@@ -155,15 +144,14 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     return validation, strays
 
 
-def _held_out_and_expected(sums: Sequence[float], unit: float) -> tuple[float, float]:
+def _held_out_and_expected(sums: Sequence[float], unit: float) -> dict[str, Any]:
     """Return the root mean square residual of held-out rows, and what is expected, in σ.
 
     The sums are those of ``_row_sums`` from the second on, then the mean square of the fit.
     """
     squares, unknown, equations, of_fit = sums
-    mean_squares = squares / equations, of_fit * (1.0 + unknown / equations)
-    held_out, expected = np.sqrt(np.array(mean_squares) / unit).tolist()
-    return held_out, expected
+    means = {"held_out": squares / equations, "expected": of_fit * (1.0 + unknown / equations)}
+    return {name: float(np.sqrt(value / unit)) for name, value in means.items()}
 
 
 def held_rows(calibration: Calibration, rows: Mask) -> Calibration:
@@ -353,11 +341,6 @@ def _variances_drawn(fits: Fits) -> Array | None:
     chances = ndtr(normal @ (axes * np.sqrt(values.clip(0.0))).T)
     freedoms = 1.0 + 2.0 / spread
     return np.asarray(freedoms / chdtri(freedoms, chances))
-
-
-def least_of_folds(chances: Sequence[float]) -> float:
-    """Return the p-value of the least p-value of all folds (Šidák 1967)."""
-    return float(bdtrc(0, len(chances), min(chances)))
 
 
 def _missed(

@@ -75,19 +75,13 @@ class Predictor(NamedTuple):
         nearly = _NEARLY * square if np.isfinite(square) else 0.0
         fits = (chdtrc(equations, squares) >= FALSE_ALARM) | (squares <= nearly)
         likely = [tried[index] for index in np.argsort(squares) if fits[index]][:_CAUSES]
-        quantities = tuple(linear.problem.quantities)
-        quantity = linear.problem.observation.named(quantities[worst], 0)
+        quantity = linear.problem.observation.named(tuple(linear.problem.quantities)[worst], 0)
         if not likely and equations > 1 and chdtrc(equations - 1, left) >= FALSE_ALARM:
             likely = [Hypothesis("slip", lambda data: data, {"quantity": quantity})]
-        names = self.mechanism.leg_names
+        legs = [tuple(self.mechanism.leg_names[leg] for leg in cause.legs) for cause in likely]
         causes = tuple(
-            finding(
-                hypothesis.code,
-                **hypothesis.values,
-                legs=tuple(names[leg] for leg in hypothesis.legs),
-                unknown_frame=False,
-            )
-            for hypothesis in likely
+            finding(cause.code, **cause.values, legs=names, unknown_frame=False)
+            for cause, names in zip(likely, legs, strict=True)
         )
         return Checked(row, float(sigma), True, quantity, causes)
 

@@ -23,7 +23,7 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.collision import arm_free_of_collision
 from pincal.kinematics.configurations import check_reached
 from pincal.model import Mechanism, Noise, Plan, Setup
-from pincal.model.checks import listed
+from pincal.model.checks import listed, must_be
 from pincal.option import option
 from pincal.words.numbers import amount
 from pincal.workspace.criteria import Margins, in_workspace
@@ -123,6 +123,7 @@ def select(
         (16, 4)
     """
     mechanism, choice = as_mechanism(mechanism), PlanningOptions(**options)
+    must_be(progress, Callable, "progress", MeasurementError)
     if mechanism.influences:
         _log.info(
             "planned with %s at their reference; to identify their terms, vary them between rows",
@@ -200,8 +201,7 @@ def _candidates(
             _log.info("nothing is left out by %s (numbers without a unit: in m or rad)", words)
     if not len(within):
         limits = choice.within(mechanism, offered, setup).items()
-        outside = [(words, (~allowed).sum()) for words, allowed in limits]
-        lost = [f"{count} are left out by {words}" for words, count in outside if count]
+        lost = [f"{(~ok).sum()} are left out by {words}" for words, ok in limits if not ok.all()]
         raise WorkspaceError(
             f"none of {len(offered)} candidates is within the limits: {'; '.join(lost)}"
         )

@@ -21,7 +21,7 @@ from pincal.types import Array, Mask
 
 GROUPS = {"m": 0, "rad": 1, "px": 3}
 """Groups of measured quantities by their unit; pixels are the last group, if cameras see."""
-_R = 2  # the group of the readings
+READINGS = 2  # the group of the readings
 _BEFOREHAND = 1.0  # prior spread of a variance about the assumed one, over the largest variance
 _TIED = 1e-6  # the same where the assumed ratio is to hold
 _SENSOR = 0.25  # platform motion by noise of tied readings, over the platform's own noise
@@ -91,7 +91,7 @@ class Moments:
         Psychometrika 2013).
         """
         weights = np.maximum(np.diagonal(self.F), 0.0)
-        weights[_R] *= not exact
+        weights[READINGS] *= not exact
         noisy, shares = weights > 0.0, weights / max(weights.sum(), 1e-300)
         pulled = self.scale * (2.0 * noisy - noisy.sum() * shares)
         return replace(self, F=self.F + np.diag(noisy), q=self.q + pulled)
@@ -145,35 +145,35 @@ class Assumptions(NamedTuple):
         sizes, ratio = self._sizes(noise)
         largest = ratio[: 3 if noise.reading > 0.0 else 2].max() * max(scale, 1e-300)
         rows = np.zeros((len(sizes) - 1, len(sizes)))
-        rows[0, :2], rows[1, _R], rows[1, 0] = (1.0, -1.0), 1.0, 0.0 if self.exact else -1.0
-        rows[2:, 0], rows[2:, _R + 1 :] = -1.0, 1.0
+        rows[0, :2], rows[1, READINGS], rows[1, 0] = (1.0, -1.0), 1.0, 0.0 if self.exact else -1.0
+        rows[2:, 0], rows[2:, READINGS + 1 :] = -1.0, 1.0
         rows *= ratio / (_BEFOREHAND * largest)
         if self.tie is not None:
             group, factor = self.tie
-            share = (factor * sizes[group] / sizes[_R]) ** 2
+            share = (factor * sizes[group] / sizes[READINGS]) ** 2
             axes = np.eye(len(sizes))
-            rows[1] = (axes[_R] - share * axes[group]) * ratio[_R] / (_TIED * largest)
+            rows[1] = (axes[READINGS] - share * axes[group]) * ratio[READINGS] / (_TIED * largest)
         return np.asarray(rows.T @ rows)
 
     def estimate(self, moments: Moments, noise: Noise) -> Noise:
         """Return the noise that residuals show, by moments of fits at a noise."""
         sizes, ratio = self._sizes(noise)
         least = np.full(len(ratio), moments.scale / _LARGEST_STEP)
-        least[_R] *= noise.reading > 0.0  # else its size is not known yet
+        least[READINGS] *= noise.reading > 0.0  # else its size is not known yet
         assumed = self.information(noise, moments.scale)
         variance = moments.off_zero(exact=self.exact).variances(assumed)
         variance = np.clip(variance, least, moments.scale * _LARGEST_STEP)
-        floor = _SMALLEST**2 * (ratio * variance).max() / ratio[_R]
-        if variance[_R] <= floor:
-            variance[_R] = 0.0 if self.exact else floor
+        floor = _SMALLEST**2 * (ratio * variance).max() / ratio[READINGS]
+        if variance[READINGS] <= floor:
+            variance[READINGS] = 0.0 if self.exact else floor
         return Noise(*np.append(sizes * np.sqrt(variance), 0.0)[:4].tolist())
 
     def with_exact_readings(self, fits: Sequence[Fit], noise: Noise) -> list[Fit]:
         """Return fits that count no degrees of freedom for readings whose noise is at its floor."""
         _, ratio = self._sizes(noise)
-        if not noise.reading > 0.0 or ratio[_R] > (1.0 + _TIED) * _SMALLEST**2 * ratio.max():
+        if not noise.reading > 0.0 or ratio[READINGS] > (1.0 + _TIED) * _SMALLEST**2 * ratio.max():
             return [replace(fit, exact=0) for fit in fits]
-        shown = (float(_moments(fit, noise.reading)[0][_R].sum()) for fit in fits)
+        shown = (float(_moments(fit, noise.reading)[0][READINGS].sum()) for fit in fits)
         return [replace(fit, exact=round(dof)) for fit, dof in zip(fits, shown, strict=True)]
 
     def _sizes(self, noise: Noise) -> tuple[Array, Array]:
@@ -183,7 +183,7 @@ class Assumptions(NamedTuple):
         """
         sizes = np.array([noise.position, noise.orientation, noise.reading, noise.pixel])
         units = np.array([*vars(self.unit).values()])
-        sizes[_R] = sizes[_R] or units[_R]
+        sizes[READINGS] = sizes[READINGS] or units[READINGS]
         count = 4 if noise.pixel else 3
         return sizes[:count], (sizes[:count] / units[:count]) ** 2
 
@@ -243,7 +243,7 @@ def _group_covariances(linear: Linear, reading: float) -> Array:
         W = np.where(problem.active[:, None, n_legs:], W, 0.0)
     units = np.array([*problem.quantities.values()][n_readings:], dtype=str)
     of_groups = [W[:, :, units == unit] for unit in GROUPS]
-    of_groups.insert(_R, linear.white(reading * linear.by_reading))
+    of_groups.insert(READINGS, linear.white(reading * linear.by_reading))
     groups = of_groups if "px" in units else of_groups[:3]
     return np.stack([part @ part.transpose(0, 2, 1) for part in groups])
 

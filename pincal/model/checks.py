@@ -1,6 +1,6 @@
 """Checks of user input, called where objects are made, and descriptions of values in messages."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from numbers import Integral, Real
 from typing import Any
 
@@ -149,17 +149,17 @@ def generator_of(seed: Any, error_type: type[PincalError]) -> np.random.Generato
 
 def must_be(
     value: Any,
-    kind: type | tuple[type, ...],
+    kind: Any,
     name: str,
     error_type: type[PincalError],
     expected: str = "",
 ) -> Any:
-    """Return the value if it is an instance of a type; or raise an error of the given type.
+    """Return the value if it is of a type, or one of types; or raise an error of the given type.
 
     The message says what was ``expected``, by default the names of the types.
     """
     if not isinstance(value, kind):
-        special = {type(None): "None", np.ndarray: "an array"}
+        special = {type(None): "None", np.ndarray: "an array", Callable: "a function"}
         named = [
             special.get(accepted, f"a{'n' * (accepted.__name__[0] in 'AEIOU')} {accepted.__name__}")
             for accepted in (kind if isinstance(kind, tuple) else (kind,))

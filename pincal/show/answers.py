@@ -219,9 +219,9 @@ def summary(
 
 
 def _found_lines(result: CalibrationResult) -> list[str]:
-    """Return lines on points left out and coordinates never measured."""
-    left_out = (finding for finding in result.findings if finding.code == "points-left-out")
-    lines = list(map(sentence, left_out))
+    """Return lines on points left out, exact readings and coordinates never measured."""
+    remarks = {"points-left-out", "readings-exact"}
+    lines = [sentence(finding) for finding in result.findings if finding.code in remarks]
     data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
     missing = [bool(np.isnan(values).all()) for values in data.poses.T]
     elsewhere = data.extra or setup.distances or setup.contacts or setup.instruments

@@ -15,6 +15,7 @@ _GIVE_NOISE = "Give the noise (--noise-position, --noise-orientation, --noise-re
 _SOURCE = "{'repeated rows show' if source == 'repeats' else 'given'}"
 _CHI2 = "reduced χ² is {chi2|rounded(3)} where 1 is expected: the noise is "
 _ASSUMED = "the uncertainties assume that noise"
+_info = partial(Wording, severity="info")
 
 FINDINGS: dict[str, Wording] = {
     "no-noise": Wording(
@@ -40,14 +41,18 @@ FINDINGS: dict[str, Wording] = {
     ),
     "noise-in-other-proportion": Wording(
         "the proportions of the given noise are wrong ({p_value|chance}): residuals show "
-        "{% for name, ratio in ratios.items() %}{(100 * ratio)|f(0)} % of it in {name}"
-        "{', ' if not loop.last}{% endfor %}",
+        "{% for name, ratio in ratios.items() %}{loop|joint}{(100 * ratio)|f(0)} % of it in {name}"
+        "{% endfor %}{', and ' ~ reading|amount(unit) ~ ' in readings, taken as exact' if reading}",
         "Leave the noise options out, so that it is estimated by group",
         title="noise in another proportion",
     ),
-    "terms-chosen": Wording(
+    "readings-exact": _info(
+        "readings are taken as exact: if their noise is above {reading|amount(unit)}, ± of "
+        "parameters are over a quarter too small, and {total|counted('row')} need not show it",
+        "Give that noise (--noise-reading), leave all noise options out, or measure more poses",
+    ),
+    "terms-chosen": _info(
         "{parameters|join(', ')} were added because they fit these measurements",
-        severity="info",
         title="terms were chosen by the same measurements",
     ),
     "model-lacks": Wording(
@@ -92,11 +97,10 @@ FINDINGS: dict[str, Wording] = {
         "Correct or remove {them}, or leave {them} out (--loss reject)",
         title="a few rows spoil the fit",
     ),
-    "points-left-out": Wording(
+    "points-left-out": _info(
         "left out: {rows|length|counted('point')} in photos: {% for name in names[:6] %}"
         "{loop|joint}{name} of data row {rows[loop.index0]}{% endfor %}"
         "{% if rows|length > 6 %}, and {rows|length - 6} more{% endif %}",
-        severity="info",
     ),
     "many-outliers": Wording(
         "{(100 * share)|f(0)} % of the rows do not fit the others, worst data row {row}",
@@ -147,26 +151,22 @@ FINDINGS: dict[str, Wording] = {
         "{loop|joint}{id} by {change|g}{unit|si or ' '}{% endfor %}",
         "Expected if the motors were zeroed again; otherwise check the columns of these readings",
     ),
-    "gauge-base-frame": Wording(
+    "gauge-base-frame": _info(
         "the base frame ({freedoms|counted('freedom')}), since "
         "{% if unknown_frame %}the frame of the measurements is unknown{% else %}the measurements "
         "do not fix it{% endif %}",
-        severity="info",
     ),
-    "gauge-platform-frame": Wording(
+    "gauge-platform-frame": _info(
         "the platform frame ({freedoms|counted('freedom')}), since the measurements do not show "
         "where the platform's points lie in it",
-        severity="info",
     ),
-    "gauge-scale": Wording(
+    "gauge-scale": _info(
         "the scale (1 freedom), since points touched at unknown places do not fix distances "
         "(give the places of two of them in the setup)",
-        severity="info",
     ),
-    "redundant-parameters": Wording(
+    "redundant-parameters": _info(
         "{count|counted('parameter')} {'is' if count == 1 else 'are'} redundant whatever is "
         "measured: {groups|groups}",
-        severity="info",
     ),
 }
 _error = partial(Wording, severity="error")

@@ -209,7 +209,7 @@ def compute_workspace(
     grid: Grid,
     orientations: Orientations | None = None,
     least: Margins | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> Workspace:
     """Return the positions that a platform reaches in one orientation, some, or all of a set.
 
@@ -232,6 +232,7 @@ def compute_workspace(
     mechanism = as_mechanism(mechanism)
     orientations = _orientations(mechanism, kind, orientations)
     _check_grid(mechanism, must_be(grid, Grid, "grid", WorkspaceError))
+    must_be(progress, Callable, "progress", WorkspaceError)
     refuse_readings(mechanism)
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING).elements
@@ -251,8 +252,7 @@ def compute_workspace(
         domain = index[first == index]
         inside[domain], computed[domain] = test(grid.at(domain)), True
         inside[index] = inside[first]
-        if progress:
-            progress(int(index[-1]) + 1)
+        progress(int(index[-1]) + 1)
     while not exact:  # a symmetry that nearly holds may move the border: compute it there
         border = np.unique(edges(grid, inside))
         border = border[~computed[border]]

@@ -27,7 +27,7 @@ from pincal.kinematics.configurations import command, shifted
 from pincal.kinematics.forward import reading_range
 from pincal.kinematics.singularity import margins
 from pincal.model import Mechanism, Plan, Platform, Setup
-from pincal.model.checks import count_of, generator_of
+from pincal.model.checks import count_of, generator_of, must_be
 from pincal.model.relations import missed
 from pincal.types import Array, Mask, Point
 from pincal.workspace.criteria import Margins, as_margins, criteria_of, in_workspace
@@ -82,7 +82,7 @@ def sample_configurations(
     count: int,
     seed: int | np.random.Generator = 0,
     least: Margins | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> Plan:
     """Return configurations: poses, and readings if poses do not determine them.
 
@@ -103,6 +103,7 @@ def sample_configurations(
     if not mechanism.by_readings:
         return Plan(sample_workspace(mechanism, count, seed, least, progress))
     count_of(count, "the number of poses", WorkspaceError, 1, MOST)
+    must_be(progress, Callable, "progress", WorkspaceError)
     rng, criteria, platform = generator_of(seed, WorkspaceError), None, mechanism.platform
     if any(leg.passive for leg in mechanism.legs):
         criteria = criteria_of(mechanism, as_margins(least))
@@ -123,8 +124,7 @@ def sample_configurations(
             halved += 1
         poses = np.concatenate((poses, reached[rows]))
         readings = np.concatenate((readings, driven[rows]))
-        if progress:
-            progress(min(len(poses), count))
+        progress(min(len(poses), count))
         if len(poses) >= count:
             return Plan(poses[:count], readings=readings[:count])
     if criteria and not in_workspace(mechanism, start[:1], as_margins(least))[0]:
@@ -220,7 +220,7 @@ def sample_workspace(
     count: int,
     seed: int | np.random.Generator = 0,
     least: Margins | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> Array:
     """Return poses spread evenly over a mechanism's workspace, coordinates of shape (count, dof).
 
@@ -233,6 +233,7 @@ def sample_workspace(
     if mechanism.by_readings:
         return sample_configurations(mechanism, count, seed, least).poses
     count_of(count, "the number of poses", WorkspaceError, 1, MOST)
+    must_be(progress, Callable, "progress", WorkspaceError)
     if not isinstance(seed, int | np.integer):
         seed = int(generator_of(seed, WorkspaceError).integers(2**63))
     rng = generator_of(seed, WorkspaceError)
@@ -242,8 +243,7 @@ def sample_workspace(
         poses = rng.uniform(low, high, (_PART, mechanism.platform.dof))
         counting = poses[in_workspace(mechanism, poses, least)]
         accepted = np.concatenate((accepted, counting[connected(counting)]))
-        if progress:
-            progress(min(len(accepted), count))
+        progress(min(len(accepted), count))
         if len(accepted) >= count:
             return accepted[:count]
     raise WorkspaceError(
