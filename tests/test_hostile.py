@@ -20,6 +20,7 @@ from pincal.calibration.result_files import read_result
 from pincal.files.mechanism_folders import bundled, mechanism_files
 from pincal.files.table import read_table
 from pincal.formats.firmware import read_klipper, read_reprap
+from pincal.instruments.board import Board
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"
 THREE = pincal.load_mechanism("3RRR")
@@ -339,3 +340,18 @@ def test_numbers_of_twenty_digits_are_refused(option: str, tmp_path: Path) -> No
     """Of starts, poses, rounds and rows: refused in words before memory is asked for."""
     line = ("select", "5R", "-o", tmp_path / "plan.csv", option, "9" * 20)
     assert "9" * 20 in run(*line).trouble
+
+
+@pytest.mark.parametrize("name", ["arm.urdf", "robot.xml", "config.g", "photo.png"])
+def test_names_that_are_not_utf8_are_refused_where_they_go_into_files(
+    name: str, tmp_path: Path
+) -> None:
+    """Models, printers and photos are to be renamed; nothing is written."""
+    path = tmp_path / os.fsdecode(b"\xe9\xff" + name.encode())
+    path.write_bytes(b"<robot name='a'><link name='tip'/></robot>")
+    (board := tmp_path / "b.yaml").write_text(Board("b", "charuco", (3, 4), 0.03).yaml())
+    words = ["detect", board] if name == "photo.png" else ["import"]
+    refused = run(*words, path, "-o", tmp_path / "out")
+    assert refused.code == 2
+    assert "a name that is not UTF-8 text; rename it" in refused.trouble
+    assert {file.name for file in tmp_path.iterdir()} == {path.name, "b.yaml"}

@@ -329,6 +329,22 @@ def ankle_gaps(readings: Array, poses: Array) -> Array:
     return np.stack((*gaps, T[:, 1, 0], *(T[:, :3, 3] + (0.0, 0.0, 0.35)).T))
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "iso-8859-1"])
+def test_loops_are_read_in_the_encoding_that_their_file_declares(
+    encoding: str, tmp_path: Path
+) -> None:
+    """A URDF in another encoding of XML gives the mechanism that it gives in UTF-8."""
+    file = neighbours.five_bar(tmp_path / "cad")
+    (tmp_path / "again").mkdir()
+    done("import", file, "-o", tmp_path / "m")
+    robot = file.read_text("utf-8").partition("?>")
+    text = f"<?xml version='1.0' encoding='{encoding}'?><!-- é -->{robot[2] or robot[0]}"
+    file.write_bytes(text.encode(encoding))
+    done("import", file, "-o", tmp_path / "again" / "m")
+    first, second = tmp_path / "m", tmp_path / "again" / "m"
+    assert pincal.load_mechanism(first) == pincal.load_mechanism(second)
+
+
 @pytest.mark.parametrize(
     ("write", "gaps", "reach"),
     [

@@ -75,6 +75,21 @@ def test_a_folder_in_the_place_of_a_table_is_said_in_words(tmp_path: Path) -> No
     assert "Errno" not in str(refused.value)
 
 
+def test_texts_that_are_not_utf8_are_kept_in_a_table(tmp_path: Path) -> None:
+    """Names of machines' files are found again in the table that lists them."""
+    name, file = os.fsdecode(b"\xe9\xff.csv"), RowFile(tmp_path / "t.csv", ["file", "failure"])
+    file.add([{"file": name, "failure": f"{name}: no such file"}])
+    assert file.read()["file"].tolist() == [name]
+
+
+def test_a_pipe_among_the_tables_of_a_line_is_not_waited_for(tmp_path: Path) -> None:
+    """It is refused by name, as a pipe that nobody writes to never ends."""
+    os.mkfifo(tmp_path / "machine.csv")
+    refused = run("batch", "5R", tmp_path, "-o", tmp_path / "table.csv")
+    assert refused.code == 2
+    assert "machine.csv: a device or a pipe" in refused.err
+
+
 def test_what_is_wrong_with_a_file_is_said_of_it(tmp_path: Path) -> None:
     """A folder among tables, a setup or plan that is not there: exit code 2, nothing written."""
     machine, table = tmp_path / "line" / "a.csv", tmp_path / "t.csv"

@@ -421,10 +421,11 @@ def shown_poses(page: Path, head: str = "pose") -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_a_date_that_is_none_harms_nothing() -> None:
+@pytest.mark.parametrize("date", ["garbage", "", "-5", "9" * 20])
+def test_a_date_that_is_none_harms_nothing(date: str) -> None:
     """Libraries read ``SOURCE_DATE_EPOCH`` while they are loaded; garbage in it is as if unset."""
     command = [sys.executable, "-m", "pincal", "--version"]
-    environment = os.environ | {"SOURCE_DATE_EPOCH": "garbage"}
+    environment = os.environ | {"SOURCE_DATE_EPOCH": date}
     process = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert (process.returncode, process.stderr) == (0, "")
 

@@ -18,7 +18,7 @@ from pincal.files.columns import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, write_mechanism
 from pincal.files.output import writing
-from pincal.files.text import LARGEST_FILE, read_bytes
+from pincal.files.text import LARGEST_FILE, check_name, read_bytes
 from pincal.files.urdf import XACRO, leg_urdf
 from pincal.formats import arm, closed, firmware, mjcf, users_urdf
 from pincal.formats.delta_printer import delta_printer
@@ -95,6 +95,7 @@ def import_(
         known = sorted(path for path in file.iterdir() if path.suffix.lower() in INPUTS)
         such_as = f", such as {known[0]}" if known else ""
         raise FileError(f"{file} is a folder; name the file to read{such_as}")
+    check_name(str(file))
     suffix = file.suffix.lower()
     if options.format is None and suffix == ".xacro":
         raise FileError(f"{file} is a file of macros, which xacro expands to URDF: {XACRO}")
@@ -156,7 +157,10 @@ def _import_tree(
         mechanism = arm.serial_arm(tree, options.tip, options.base)
         remarks = arm.left_open(tree, mechanism)
     else:
-        tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
+        text = read_bytes(file, LARGEST_FILE["XML"], MechanismError).replace(
+            b"\0", b""
+        )  # of UTF-16
+        tree = replace(tree, slack=closed.slack_of(text.decode("latin-1")))
         mechanism, remarks = closed.closed_mechanism(tree, options.platform, options.base)
         if yaml is not None:
             say(f"loops closed by {yaml}")

@@ -23,6 +23,7 @@ from pincal.design.planning import with_reading_noise
 from pincal.design.simulate import ERROR
 from pincal.files.journal import FAILURE, Row, RowFile
 from pincal.files.measurements import read_poses
+from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show.many import HistoryPage, batch_lines, montecarlo_lines, row_columns, row_of_result
@@ -151,7 +152,10 @@ def batch(
         warn(f"skipped, since it is no .csv or .xlsx: {listed(skipped)}")
     if not files:
         raise FileError(f"{folder} has no tables; expected a .csv or .xlsx for each machine")
-    items = [(path.name, sha256(path.read_bytes()).hexdigest()[:12]) for path in files]
+    contents = (read_bytes(path, LARGEST_FILE["table"], FileError) for path in files)
+    items = [
+        (p.name, sha256(data).hexdigest()[:12]) for p, data in zip(files, contents, strict=True)
+    ]
     poses = None if (over := running.workspace) is None else read_poses(over, mechanism)
     make_row = partial(_row, mech, folder, options, known, running, poses)
     with _growing(output) as progress:

@@ -167,7 +167,7 @@ def read_lines(path: Path, columns: Sequence[str]) -> list[list[str]]:
     data, head = path.read_bytes(), ",".join(columns).encode()
     end = data.rfind(b"\n") + 1
     text = head if head.startswith(data) else data[:end] or data
-    reader = csv.reader(io.StringIO(text.decode("utf-8-sig")))
+    reader = csv.reader(io.StringIO(text.decode("utf-8-sig", "surrogateescape")))
     try:
         if next(reader, []) != [*columns]:
             raise ValueError(f"{path} has other columns")
@@ -191,7 +191,7 @@ def append_lines(path: Path, columns: Sequence[str], rows: Sequence[Sequence[obj
     """
     size = path.stat().st_size if path.exists() else -1
     try:
-        with path.open("a", newline="", encoding="utf-8") as file:
+        with path.open("a", newline="", encoding="utf-8", errors="surrogateescape") as file:
             lines = [columns, *rows] if columns and size <= 0 else rows
             csv.writer(file, lineterminator="\n").writerows(lines)
             file.flush()

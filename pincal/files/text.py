@@ -213,8 +213,15 @@ def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
     return f"{named} is not a finite number: one decimal point is expected, and no unit ({units})"
 
 
+def check_name(name: str) -> None:
+    """Raise FileError if a file's name or path is not UTF-8, for it goes into files or libraries."""
+    if any("\ud800" <= character <= "\udfff" for character in name):
+        raise FileError(f"{name}: a name that is not UTF-8 text; rename it")
+
+
 def read_xml(path: Path, root: str) -> etree._Element:
     """Return the root element, named ``root``, of an XML file, without resolving entities."""
+    check_name(path.name)
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False, recover=True)
     with suppress(etree.XMLSyntaxError):  # for an empty file, which the log reports, too
         element = etree.fromstring(read_bytes(path, LARGEST_FILE["XML"], MechanismError), parser)

@@ -26,7 +26,7 @@ from PIL import Image as Picture
 from scipy.special import erf
 
 from pincal.errors import MeasurementError
-from pincal.files.text import read_bytes
+from pincal.files.text import check_name, read_bytes
 from pincal.instruments.board import CHEQUERED, Board, cv2, marker_dictionary
 from pincal.instruments.camera import SMALLEST_WINDOW, windows
 from pincal.model.checks import listed
@@ -75,10 +75,11 @@ def read_photo(path: Path) -> tuple[Array, datetime | None]:
     so that a lens is the same in all photos.
 
     Raises:
-        FileError: the file is missing or too large.
+        FileError: the file is missing or too large, or its name is not UTF-8.
         MeasurementError: it is no picture.
     """
     marker_dictionary("4X4_50")  # raises an error without OpenCV
+    check_name(path.name)
     data = np.frombuffer(read_bytes(path, _LARGEST, MeasurementError), np.uint8)
     try:  # OpenCV would print its libraries' messages on a damaged file
         with Picture.open(path) as file:

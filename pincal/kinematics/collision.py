@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from pincal.errors import FileError, MechanismError, ObservabilityError
+from pincal.files.text import check_name
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model import Mechanism, Plan
@@ -78,6 +79,7 @@ def _collision_model(path: Path) -> tuple[pin.Model, pin.GeometryModel]:
     """Return the joints of a URDF, and the shapes of its bodies."""
     if not path.is_file():
         raise FileError(f"cannot read {path}: no such file")
+    check_name(str(path))
     try:
         model = pin.buildModelFromUrdf(str(path))
         places = [str(folder) for folder in path.parents]

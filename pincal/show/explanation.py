@@ -205,5 +205,5 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     parts = [f"root mean square {listed(known)}"] if known else []
     parts += [f"{name} not determined" for name, size, _ in sizes if not size < np.inf]
     if error.position < np.inf:
-        parts[-1] += ", which no calibration can improve"
+        parts[-1] += ", the least that these measurements allow"
     return [*lines, f"platform over the workspace: {', '.join(parts)}"]
