@@ -214,7 +214,7 @@ def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
 
 
 def check_name(name: str) -> None:
-    """Raise FileError if a file's name or path is not UTF-8, for it goes into files or libraries."""
+    """Raise FileError if a file's name or path, which goes into other files, is not UTF-8."""
     if any("\ud800" <= character <= "\udfff" for character in name):
         raise FileError(f"{name}: a name that is not UTF-8 text; rename it")
 

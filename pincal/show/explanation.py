@@ -202,8 +202,6 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     sizes = [("position", error.position, "m"), ("orientation", error.orientation, "rad")]
     sizes = sizes if "rad" in error.units else sizes[:1]
     known = [amount(size, unit) for _, size, unit in sizes if size < np.inf]
-    parts = [f"root mean square {listed(known)}"] if known else []
+    parts = [f"root mean square {listed(known)} at best"] if known else []
     parts += [f"{name} not determined" for name, size, _ in sizes if not size < np.inf]
-    if error.position < np.inf:
-        parts[-1] += ", the least that these measurements allow"
     return [*lines, f"platform over the workspace: {', '.join(parts)}"]
