@@ -83,11 +83,11 @@ def test_texts_that_are_not_utf8_are_kept_in_a_table(tmp_path: Path) -> None:
 
 
 def test_a_pipe_among_the_tables_of_a_line_is_not_waited_for(tmp_path: Path) -> None:
-    """It is refused by name, as a pipe that nobody writes to never ends."""
+    """It is left out and named, as a pipe that nobody writes to never ends."""
     os.mkfifo(tmp_path / "machine.csv")
     refused = run("batch", "5R", tmp_path, "-o", tmp_path / "table.csv")
     assert refused.code == 2
-    assert "machine.csv: a device or a pipe" in refused.err
+    assert "skipped, since it is no .csv or .xlsx: machine.csv" in refused.err
 
 
 def test_what_is_wrong_with_a_file_is_said_of_it(tmp_path: Path) -> None:

@@ -50,8 +50,7 @@ class InputOptions(SetupOptions):
 
     def read_setup(self) -> Setup:
         """Return the setup with the renamed columns of the command line."""
-        setup = super().read_setup()
-        pairs = [text.rpartition("=") for text in self.columns]
+        setup, pairs = super().read_setup(), [text.rpartition("=") for text in self.columns]
         headers = {header.strip(): name.strip() for header, _, name in pairs}
         return replace(setup, headers={**setup.headers, **headers})
 

@@ -223,8 +223,7 @@ def identifiability(
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup are given.
     """
-    mechanism = pincal.load_mechanism(mech)
-    setup = options.read_setup()
+    mechanism, setup = pincal.load_mechanism(mech), options.read_setup()
     if plan is not None:
         poses = read_poses(plan, mechanism, setup=setup)
         setup = setup.of_rows(poses.contacts)

@@ -23,7 +23,6 @@ from pincal.design.planning import with_reading_noise
 from pincal.design.simulate import ERROR
 from pincal.files.journal import FAILURE, Row, RowFile
 from pincal.files.measurements import read_poses
-from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.model.checks import listed
 from pincal.option import Option, option
 from pincal.show.many import HistoryPage, batch_lines, montecarlo_lines, row_columns, row_of_result
@@ -147,15 +146,12 @@ def batch(
     """
     mechanism = load_mechanism(mech)
     in_folder = sorted(path for path in folder.glob("[!.]*") if path.resolve() != output.resolve())
-    files = [path for path in in_folder if path.suffix.lower() in (".csv", ".xlsx")]
-    if skipped := [path.name for path in in_folder if path.is_file() and path not in files]:
+    files = [p for p in in_folder if p.suffix.lower() in (".csv", ".xlsx") and not p.is_fifo()]
+    if skipped := [path.name for path in in_folder if not (path.is_dir() or path in files)]:
         warn(f"skipped, since it is no .csv or .xlsx: {listed(skipped)}")
     if not files:
         raise FileError(f"{folder} has no tables; expected a .csv or .xlsx for each machine")
-    contents = (read_bytes(path, LARGEST_FILE["table"], FileError) for path in files)
-    items = [
-        (p.name, sha256(data).hexdigest()[:12]) for p, data in zip(files, contents, strict=True)
-    ]
+    items = [(path.name, sha256(path.read_bytes()).hexdigest()[:12]) for path in files]
     poses = None if (over := running.workspace) is None else read_poses(over, mechanism)
     make_row = partial(_row, mech, folder, options, known, running, poses)
     with _growing(output) as progress:

@@ -126,8 +126,7 @@ def inverse(
     READINGS.csv' gives the poses to command instead.
     """
     mechanism = pincal.load_mechanism(mech)
-    units = options.written_in(mechanism)
-    plan = read_poses(poses, mechanism)
+    units, plan = options.written_in(mechanism), read_poses(poses, mechanism)
     if as_measured:
         plan = replace(plan, poses=pincal.load_result(mech).in_base(plan.poses))
     refuse_existing(output, force=force)

@@ -124,8 +124,7 @@ def detect(
     if not any(photo.points for photo in photos):
         reason, number = Counter(photo.reason for photo in photos).most_common(1)[0]
         raise MeasurementError(f"no photo shows the board: {reason} ({number} of {len(photos)})")
-    table = _table(photos, row_of, options.camera)
-    drawn = output.parent / f"{output.stem}.png"
+    table, drawn = _table(photos, row_of, options.camera), output.parent / f"{output.stem}.png"
     with writing_together([(output, ()), (drawn, ())], force=options.force) as (corners, sheet):
         write_table(corners, table)
         sheet.write_bytes(figure_bytes(contact_sheet(photos), "png"))
@@ -185,8 +184,7 @@ def _rows_by_time(path: Path, rows: int, photos: Sequence[PhotoPoints]) -> dict[
     by_time = None not in times and len(times) == rows
     reason = "of their times" if by_time else "given, since not every photo has a time of its own"
     remark(f"photos belong to rows in the order {reason}")
-    names = [photo.name for photo in photos]
-    ordered = list(photos)
+    names, ordered = [photo.name for photo in photos], list(photos)
     if by_time:
         order = np.argsort(np.array([photo.taken for photo in photos], "datetime64[us]"))
         ordered = [photos[place] for place in order]

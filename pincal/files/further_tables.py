@@ -93,8 +93,7 @@ def with_pairs(measurements: Any, pairs: Any) -> TextTable:
             twice.
     """
     table, typed = _named(read_table(measurements)), read_table(pairs)
-    place = {name: row for row, name in enumerate(table.text[ROW])}
-    hosted = [0] * len(table.lines)
+    place, hosted = {name: row for row, name in enumerate(table.text[ROW])}, [0] * len(table.lines)
     cells: dict[str, list[str]] = defaultdict(lambda: [""] * len(hosted))
     for a, b, kind, value, sigma in _pairs(typed, place, table.path):
         host, partner = (b, a) if hosted[place[b]] <= hosted[place[a]] else (a, b)

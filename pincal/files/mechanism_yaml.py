@@ -25,8 +25,7 @@ from pincal.model.platform import KINDS, TWIST
 from pincal.model.terms import Cables, Harmonic, Power, Share, Term
 from pincal.types import Quantity
 
-FORMAT = 1
-YAML = "mechanism.yaml"
+FORMAT, YAML = 1, "mechanism.yaml"
 #: Forms of terms by the key that names them, with the further keys of each form.
 _FORMS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "sine": (Harmonic, ("period",)),

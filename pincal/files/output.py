@@ -39,12 +39,10 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         real = Path(os.path.realpath(path))
         exists, is_folder, is_link = real.exists(), real.is_dir(), real.is_symlink()
         special = exists and not (is_folder or real.is_file())  # a device or a pipe
-        has_parent = real.parent.is_dir()
-        known = bool(folder) and (real / folder[0]).is_file()
+        has_parent, known = real.parent.is_dir(), bool(folder) and (real / folder[0]).is_file()
         inside = is_folder and Path.cwd().is_relative_to(real)
         read = _inputs_in(_made_in(real, folder) if known else [] if is_folder else [real])
-    known_by = folder[0] if folder else ""
-    suffix = path.suffix.lower()
+    known_by, suffix = folder[0] if folder else "", path.suffix.lower()
     refusals = {
         f"{path}: {suffix} files are not written; name a {OTHER_TABLES.get(suffix)} file": suffix
         in OTHER_TABLES,

@@ -37,8 +37,7 @@ LINE_END = re.compile("\r\n|\r|\n")
 """End of a line by Unix, Windows or old Macs."""
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
-_GROUPED = r"[-+]?[1-9]\d{{0,2}}({0}\d{{3}})+"
-_SPACES = "['’ \u00a0\u202f]"
+_GROUPED, _SPACES = r"[-+]?[1-9]\d{{0,2}}({0}\d{{3}})+", "['’ \u00a0\u202f]"
 _THOUSANDS = {
     ",": re.compile(_GROUPED.format(",") + r"\.\d+", re.ASCII),
     r"\.": re.compile(_GROUPED.format(r"\.") + r",\d+", re.ASCII),

@@ -145,8 +145,7 @@ def read_leg(
     The given ends name links; the returned ends name the joints that carry these links. Parents
     come before their children, and the joint of the tip comes last.
     """
-    tree = read_urdf(path)
-    names = [name for end in ends for name in end.frames]
+    tree, names = read_urdf(path), [name for end in ends for name in end.frames]
     last, *end_links = [tree.link(name, "an end of a leg") for name in (tip, *names)]
     edges = tree.edges_to((last, *end_links))
     leaders = {edge.joint.leader.joint for edge in edges}

@@ -124,8 +124,7 @@ class Entry:
 
         Unknown keys, unless ``others``, are refused before missing ones, which they may misspell.
         """
-        entries = self.pairs()
-        known = [*needed, *known]
+        entries, known = self.pairs(), [*needed, *known]
         for key in entries:
             if key not in known:
                 absent = [name for name in known if name not in entries] if others else known

@@ -275,8 +275,7 @@ class _Corners:
     ) -> None:
         self.half, self.starts = half, starts
         reach = int(np.ceil(half.max())) + 1
-        steps = np.arange(-reach, reach + 1)
-        middle = np.rint(starts).astype(int)
+        steps, middle = np.arange(-reach, reach + 1), np.rint(starts).astype(int)
         u = np.clip(middle[:, 0, None] + np.tile(steps, len(steps)), 0, grey.shape[1] - 1)
         v = np.clip(middle[:, 1, None] + np.repeat(steps, len(steps)), 0, grey.shape[0] - 1)
         self.side = len(steps)

@@ -81,8 +81,7 @@ def _collision_model(path: Path) -> tuple[pin.Model, pin.GeometryModel]:
         raise FileError(f"cannot read {path}: no such file")
     check_name(str(path))
     try:
-        model = pin.buildModelFromUrdf(str(path))
-        places = [str(folder) for folder in path.parents]
+        model, places = pin.buildModelFromUrdf(str(path)), [str(folder) for folder in path.parents]
         shapes = pin.buildGeomFromUrdf(
             model, str(path), pin.GeometryType.COLLISION, package_dirs=places
         )

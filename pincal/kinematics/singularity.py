@@ -59,8 +59,7 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
     """
     mechanism = as_mechanism(mechanism)
     placed = mechanism.platform.matrices(poses)
-    type1 = np.empty((len(placed), len(mechanism.legs)))
-    type2 = np.empty(len(placed))
+    type1, type2 = np.empty((len(placed), len(mechanism.legs))), np.empty(len(placed))
     for rows in chunks(len(placed)):
         closed = close_legs(nominal_legs(mechanism), placed[rows])
         reached = np.stack(by_leg(closed, lambda group: group.reached), axis=1)
