@@ -24,7 +24,7 @@ LINES = {
     "instruments": 1_547,
     "kinematics": 3_411,
     "model": 3_552,
-    "show": 3_909,
+    "show": 3_907,
     "symmetry": 1_191,
     "words": 952,
     "workspace": 1_445,
