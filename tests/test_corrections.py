@@ -232,7 +232,7 @@ def test_wrong_exports_are_refused_and_nothing_is_written(tmp_path: Path) -> Non
     poses.write_text("x [m],y [m]\n0,1.1\n")
     before = contents(tmp_path)
     for words, message in [
-        (("-o", tmp_path / "c.xml", "--original", poses), "leave out --original"),
+        (("-o", tmp_path / "c.cfg", "--original", poses), "leave out --original"),
         (("-o", poses), "is not known; give it the ending"),
         (("-o", tmp_path / "c.txt"), "is not known; give it the ending"),
     ]:

@@ -865,6 +865,8 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
     )
     original = ("--original", file)
     told = run("export", out, *original, "-o", tmp_path / "new.xml").trouble
+    assert "expected a <mujoco> element, found <robot>" in told
+    told = run("export", out, *original, "-o", tmp_path / "new.cfg").trouble
     assert "leave out --original: not for the format" in told
 
 

@@ -20,7 +20,7 @@ from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, writ
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, check_name, read_bytes
 from pincal.files.urdf import XACRO, leg_urdf
-from pincal.formats import arm, closed, firmware, mjcf, users_urdf
+from pincal.formats import arm, closed, firmware, mjcf, users_mjcf, users_urdf
 from pincal.formats.delta_printer import delta_printer
 from pincal.option import option
 from pincal.show.report import mechanism_lines
@@ -185,7 +185,7 @@ def export(
     ],
     original: Annotated[
         Path | None,
-        typer.Option(metavar="URDF", help="Your URDF: only the origins of its joints change."),
+        typer.Option(metavar="FILE", help="Your URDF or MJCF: only numbers of joints change."),
     ] = None,
     form: Annotated[
         InputFormat | None,
@@ -195,9 +195,9 @@ def export(
 ) -> None:
     """Write URDF, MJCF or printer configurations.
 
-    With --original, FILE is a copy of that URDF in which only the origins of calibrated joints
-    differ. Without it, MJCF (.xml) holds the kinematics of any mechanism, URDF (.urdf) only of
-    arms.
+    With --original, FILE is a copy of your URDF or MJCF in which only the numbers of calibrated
+    joints, sites and equalities differ. Without it, MJCF (.xml) holds the kinematics of any
+    mechanism, URDF (.urdf) only of arms.
 
     For a delta printer, FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
     RepRapFirmware (.g) or Marlin (.g, --format marlin). What the format cannot hold is reported.
@@ -213,7 +213,7 @@ def export(
             f"the format of {output.name!r} is {fault}; give it the ending .urdf, .xml (MJCF), "
             ".cfg (Klipper) or .g (RepRapFirmware; Marlin: --format marlin)"
         )
-    if original is not None and form != "urdf":
+    if original is not None and form not in ("urdf", "mjcf"):
         raise MechanismError(f"leave out --original: not for the format {form}")
     mechanism = pincal.load_mechanism(mech)
     data, remarks = _exported(mechanism, form, original)
@@ -230,7 +230,8 @@ def _exported(
 ) -> tuple[bytes, Sequence[str]]:
     """Return the contents of a mechanism's file in a format, and remarks on what it lacks."""
     if original is not None:
-        data = users_urdf.calibrated_urdf(original, mechanism)
+        calibrated = {"urdf": users_urdf.calibrated_urdf, "mjcf": users_mjcf.calibrated_mjcf}
+        data = calibrated[form](original, mechanism)
         lines = set(read_bytes(original, LARGEST_FILE["XML"], MechanismError).splitlines())
         changed = sum(line not in lines for line in data.splitlines())
         remark(f"{changed} lines differ from {original}")

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from os.path import commonprefix
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -75,31 +76,27 @@ def closed_mechanism(
     Platform and base are names of links; by default the link in which the legs meet, and the root.
     """
     with located(tree.source, MechanismError):
-        if base is not None:
-            tree = replace(tree, root=tree.link(base, "the base"))
-        tree = coupled(tree)
-        platform = platform or tree.platform
-        if platform is not None:
-            platform = tree.link(platform, "the platform")
-        asked = platform
-        limbs, platform, loose = limbs_of(tree, platform)
-        if platform and not asked:
-            _log.info("the link %r is the platform; name another by --platform or --tip", platform)
+        drawing = drawing_of(tree, platform, base)
+        tree, normal, loose = drawing.tree, drawing.normal, drawing.loose
+        if drawing.platform and not (platform or tree.platform):
+            named = drawing.platform
+            _log.info("the link %r is the platform; name another by --platform or --tip", named)
         driven = " (driven)" if set(tree.active) & set(loose) else ""
         remarks = [f"{listed(loose)}: in no loop with the platform, left out{driven}"] * bool(loose)
-        normal = plane_of(tree, [step for limb in limbs for step in limb.steps])
-        kind, bare = _legs(tree, limbs, platform, normal)
         if normal is not None and abs(normal[2]) < 1.0 - EXACT:
             remarks.append("planar, but not across z: the base frame was turned to have z across")
-        free = Platform.at_origin(kind)
-        axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
+        free, bare = Platform.at_origin(drawing.kind), drawing.legs
+        axes = _PLANAR if drawing.kind in ("point", "planar") else _SPATIAL
         closed, placed = assembled(bare, free, tree.slack)
         remarks += _joint_remarks(tree, closed)
         legs = []
         for leg, of_joints in zip(closed, _stems(closed), strict=True):
             stems = (*of_joints, "tip")
             every = displaced(leg, stems, axes)
-            order = tuple(sorted(every.parameter_names, key=every.units.__getitem__))  # m first
+            free_names = [
+                name for name in every.parameter_names if name not in _within_balls(every)
+            ]
+            order = tuple(sorted(free_names, key=every.units.__getitem__))  # m first
             distinct = independent(every, placed, order, tree.slack)
             held = set(every.parameter_names).difference(distinct)
             legs.append(displaced(leg, stems, axes, held=held))
@@ -111,28 +108,64 @@ def closed_mechanism(
         return mechanism, (*_joints_moved(bare, mechanism, tree.slack), *remarks)
 
 
-def _legs(
-    tree: Tree, limbs: list[Limb], platform: str | None, normal: Array | None
-) -> tuple[str, list[Leg]]:
-    """Return the kind of platform, and the legs without parameters.
+def _within_balls(leg: Leg) -> set[str]:
+    """Return the displacements between the axes of balls, which meet by definition."""
+    moving = {joint.name: joint for joint in leg.articulated}
+    within: set[str] = set()
+    for ball in {joint.name.removesuffix("_x") for joint in leg.joints}:
+        axes = [f"{ball}_{axis}" for axis in "xyz"]
+        if all(any(joint.name == axis for joint in leg.joints) for axis in axes):
+            for axis in [axis for axis in axes if axis in moving][1:]:
+                within |= moving[axis].placement.parameter_units.keys()
+    return within
 
-    In the plane, z of all frames is the normal of the plane.
-    """
-    turn = np.eye(3)
+
+class Drawing(NamedTuple):
+    """Legs of a tree between base and platform, without parameters, and their frames in it."""
+
+    tree: Tree
+    """The tree, whose root is the base."""
+    platform: str | None
+    """Link of the platform; None if it is the point of a joint."""
+    kind: str
+    legs: list[Leg]
+    normal: Array | None
+    """Normal of a planar mechanism in the root's frame, shape (3,); z of all legs' frames."""
+    turn: Array
+    """Rotation of the platform's frame in its link, shape (3, 3)."""
+    backward: frozenset[str]
+    """Names of the joints that the legs pass from child to parent."""
+    loose: list[str]
+    """Names of the joints that are in no leg."""
+
+
+def drawing_of(tree: Tree, platform: str | None = None, base: str | None = None) -> Drawing:
+    """Return the legs of a tree between two links; by default see ``closed_mechanism``."""
+    if base is not None:
+        tree = replace(tree, root=tree.link(base, "the base"))
+    tree, turn = coupled(tree), np.eye(3)
+    platform = platform or tree.platform
+    limbs, platform, loose = limbs_of(tree, platform and tree.link(platform, "the platform"))
+    steps = [step for limb in limbs for step in limb.steps]
+    normal = plane_of(tree, steps)
     if platform is None:
         legs, kind = point_platform(tree, limbs[0].ends[0], normal), "point"
+        steps = [*steps[:3], *((edge, not forward) for edge, forward in steps[3:])]
     else:
         limbs, kind = _guiding(tree, limbs, "spatial" if normal is None else "planar")
-        link = tree.pose_at_zero(platform)[:3, :3]
-        if kind in ("point", "translational"):
-            turn = link.T @ (turn if normal is None else onto_normal(normal))
-        elif normal is not None:
-            turn = onto_normal(link.T @ normal)
         legs = [leg_of(tree, limb, platform, normal) for limb in limbs]
+        turn = _platform_turn(tree.pose_at_zero(platform)[:3, :3], kind, normal)
     legs = [_in_frames(leg, normal, turn, tree.slack) for leg in legs]
-    named = zip(_leg_names(legs), legs, strict=True)
-    points = Counter(point.name for leg in legs for point in leg.points)
-    return kind, [_named(name, leg, points) for name, leg in named]
+    legs = _all_named(legs)
+    backward = frozenset(edge.joint.name for edge, forward in steps if not forward)
+    return Drawing(tree, platform, kind, legs, normal, turn, backward, loose)
+
+
+def _platform_turn(link: Array, kind: str, normal: Array | None) -> Array:
+    """Return the rotation of the platform's frame in its link, which is turned so, (3, 3)."""
+    if kind in ("point", "translational"):
+        return link.T @ (np.eye(3) if normal is None else onto_normal(normal))
+    return np.eye(3) if normal is None else onto_normal(link.T @ normal)
 
 
 def _guiding(tree: Tree, limbs: list[Limb], kind: str) -> tuple[list[Limb], str]:
@@ -215,6 +248,13 @@ def _upright(joint: Joint, C: Array, C_child: Array) -> Joint:
         origin[:3, :3] = upright.as_matrix() @ origin[:3, :3]
         joint = replace(joint, placement=placement_of(origin), axis=axis)
     return joint
+
+
+def _all_named(legs: Sequence[Leg]) -> list[Leg]:
+    """Return legs with names of their own, and with unique names of platform points."""
+    points = Counter(point.name for leg in legs for point in leg.points)
+    named = zip(_leg_names(legs), legs, strict=True)
+    return [_named(name, leg, points) for name, leg in named]
 
 
 def _named(name: str, leg: Leg, shared: Counter[str]) -> Leg:

@@ -233,7 +233,7 @@ def leg_of(tree: Tree, limb: Limb, platform: str, normal: Array | None) -> Leg:
         way = [*way, Joint("tip", "fixed")]
     _hang(joints, way)
     sensors = _sensors(tree, joints)
-    return Leg("limb", tuple(joints), sensors, (), met, closes, ends=tuple(ends), settled=True)
+    return Leg("limb", tuple(joints), sensors, (), met, closes, ends=tuple(ends))
 
 
 def _sensors(tree: Tree, joints: Iterable[Joint]) -> tuple[Sensor, ...]:

@@ -47,12 +47,12 @@ _PLATFORM = "platform"
 def read_mjcf(path: Path) -> Tree:
     """Return the tree of an MJCF file, with its loops and drives."""
     title = read_xml(path, "mujoco").get("model")
-    model = _compiled(path)
-    links, joints = _names(model)
+    model = compiled(path)
+    links, joints = names_of(model)
     edges = [edge for body in range(1, model.nbody) for edge in _edges(model, body, links, joints)]
     carriers, remarks = {edge.child: edge.joint.name for edge in edges}, dict[str, str]()
     for i, body in enumerate(model.site_bodyid):  # a named site is a link fixed to its body
-        name, placement = model.site(i).name, _pose(model.site_pos[i], model.site_quat[i])
+        name, placement = model.site(i).name, pose_of(model.site_pos[i], model.site_quat[i])
         site = name + "_site" * (name in links)
         if name and site not in links:
             joint = Joint(site + "_fixed" * (site in joints), "fixed", placement_of(placement))
@@ -76,8 +76,8 @@ def read_mjcf(path: Path) -> Tree:
     return with_ranges(tree)
 
 
-def _compiled(path: Path) -> mujoco.MjModel:
-    """Return MuJoCo's model of a file without opening meshes and pictures."""
+def compiled(path: Path, text: bytes | None = None) -> mujoco.MjModel:
+    """Return MuJoCo's model of a file, or of a text in its place, without meshes and pictures."""
     try:
         handler = mujoco.get_mju_user_warning()
     except ModuleNotFoundError as error:
@@ -87,7 +87,7 @@ def _compiled(path: Path) -> mujoco.MjModel:
     mujoco.set_mju_user_warning(lambda _: None)  # it writes a log into the working folder
     try:
         with warnings.catch_warnings(action="ignore"):  # masses do not matter here
-            spec = mujoco.MjSpec.from_file(str(path))
+            spec = _spec(path, text)
             _drop_shapes(spec)
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
@@ -101,6 +101,14 @@ def _compiled(path: Path) -> mujoco.MjModel:
     if not (small and (turns_of_places > 0.0).all()):
         raise MechanismError(f"{path}: a position or axis has a number not finite or too large")
     return model
+
+
+def _spec(path: Path, text: bytes | None) -> mujoco.MjSpec:
+    if text is None:
+        return mujoco.MjSpec.from_file(str(path))
+    included = re.findall(rb"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)", text)
+    files = {name.decode(): (path.parent / name.decode()).read_bytes() for name in included}
+    return mujoco.MjSpec.from_string(text.decode("utf-8", "replace"), include=files)
 
 
 def _drop_shapes(spec: mujoco.MjSpec) -> None:
@@ -120,14 +128,14 @@ def _drop_shapes(spec: mujoco.MjSpec) -> None:
     spec.compiler.fusestatic = spec.compiler.alignfree = False
 
 
-def _names(model: mujoco.MjModel) -> tuple[list[str], list[str]]:
+def names_of(model: mujoco.MjModel) -> tuple[list[str], list[str]]:
     """Return the names of bodies and of joints; those without a name are numbered."""
     links = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
     bodies = enumerate(model.jnt_bodyid)
     return links, [model.joint(i).name or f"{links[b]}_joint_{i}" for i, b in bodies]
 
 
-def _pose(position: Array, quaternion: Array = _STILL) -> Array:
+def pose_of(position: Array, quaternion: Array = _STILL) -> Array:
     """Return the pose, shape (4, 4), of a position [m] and a quaternion, scalar first."""
     turn = Rotation.from_quat(quaternion, scalar_first=True)
     return RigidTransform.from_components(position, turn).as_matrix()
@@ -136,7 +144,7 @@ def _pose(position: Array, quaternion: Array = _STILL) -> Array:
 def _edges(model: mujoco.MjModel, body: int, links: list[str], joints: list[str]) -> Iterator[Edge]:
     """Yield edges of a body's joints in series, each in a frame at its anchor."""
     link, name = links[model.body_parentid[body]], links[body]
-    T_link_body = _pose(model.body_pos[body], model.body_quat[body])
+    T_link_body = pose_of(model.body_pos[body], model.body_quat[body])
     anchor = np.zeros(3)
     first, count = model.body_jntadr[body], model.body_jntnum[body]
     for i in range(first, first + count):
@@ -173,7 +181,7 @@ def _home(model: mujoco.MjModel, joints: list[str]) -> dict[str, float]:
         kind, address = model.jnt_type[i], model.jnt_qposadr[i]
         qpos = model.key_qpos[0, address : address + 4]
         if kind == mujoco.mjtJoint.mjJNT_BALL:
-            angles = turns_in_series(_pose(np.zeros(3), qpos)[None, :3, :3])[0]
+            angles = turns_in_series(pose_of(np.zeros(3), qpos)[None, :3, :3])[0]
             home |= {f"{joints[i]}_{axis}": float(a) for axis, a in zip("xyz", angles, strict=True)}
         elif kind != mujoco.mjtJoint.mjJNT_FREE:  # loops determine the pose of a free body
             home[joints[i]] = float(qpos[0] - model.qpos0[address])
@@ -193,12 +201,12 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
             continue
         ends = [int(model.eq_obj1id[i]), int(model.eq_obj2id[i])]
         if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
-            poses = [_pose(model.site_pos[end], model.site_quat[end]) for end in ends]
+            poses = [pose_of(model.site_pos[end], model.site_quat[end]) for end in ends]
             ends = [int(model.site_bodyid[end]) for end in ends]
         elif connects:
-            poses = [_pose(data[:3]), _pose(data[3:6])]
+            poses = [pose_of(data[:3]), pose_of(data[3:6])]
         else:
-            poses = [_pose(data[3:6], data[6:10]), _pose(data[:3])]
+            poses = [pose_of(data[3:6], data[6:10]), pose_of(data[:3])]
         if (model.body_mocapid[ends] >= 0).any():
             continue  # a mocap body is moved by the user, and no part of the machine
         first, second = map(placement_of, poses)

@@ -35,7 +35,7 @@ from pincal.model import Closing, Joint, Leg, Mechanism, Placement, placement_of
 from pincal.model.checks import ROUNDING, listed
 from pincal.types import Array
 
-_TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")  # attributes may hold '>'
+TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")  # attributes may hold '>'
 Edges = Mapping[str, Edge]
 _TURNED = {"SPHERICAL": "xyz", "FIXED": "", "CARDAN": "xy"} | {
     f"UJOINT_{axes.upper()}": axes for axes in map("".join, permutations("xyz", 2))
@@ -254,18 +254,24 @@ def _shift(urdf: Edges, leg: Leg) -> Array:
     return shift
 
 
-def _rewritten(path: Path, origins: Mapping[str, Placement]) -> bytes:
-    """Return a file's bytes with new origins of joints, by name."""
+def plain_bytes(path: Path) -> bytes:
+    """Return a file's bytes, in which tags are found as they are."""
     text = path.read_bytes()
     if text[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in text[:100]:
         raise MechanismError(f"{path}: UTF-16 or UTF-32; save it as UTF-8")
+    return text
+
+
+def _rewritten(path: Path, origins: Mapping[str, Placement]) -> bytes:
+    """Return a file's bytes with new origins of joints, by name."""
+    text = plain_bytes(path)
     tags: dict[str, tuple[int, int]] = {}  # span of each origin's start tag, or place for a new one
     stack: list[str] = []
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         begin, name = parser.CurrentByteIndex, attributes.get("name", "")
-        match = _TAG.match(text, begin)
+        match = TAG.match(text, begin)
         end = match.end() if match else begin
         if tag == "joint" and len(stack) == 1 and name in origins:
             tags[name] = (end, end)
@@ -288,10 +294,14 @@ def _with_origin(tag: bytes, placement: Placement) -> bytes:
     if re.search(rb"\squat_xyzw\s*=", tag):
         turn = ("quat_xyzw", Rotation.from_matrix(placement.origin()[:3, :3]).as_quat())
     for key, values in (("xyz", placement.xyz), turn):
-        numbers = " ".join(repr(float(v) + 0.0) for v in values).encode()
-        pattern = rb"(\s" + key.encode() + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')"
-        if re.search(pattern, tag):
-            tag = re.sub(pattern, rb'\g<1>"' + numbers + rb'"', tag, count=1)
-        else:
-            tag = re.sub(rb"\s*(/?>)$", b" " + key.encode() + b'="' + numbers + rb'"\g<1>', tag)
+        tag = with_numbers(tag, key, values)
     return tag
+
+
+def with_numbers(tag: bytes, key: str, values: Iterable[float]) -> bytes:
+    """Return a start tag with the numbers of an attribute, which is added if absent."""
+    numbers = " ".join(repr(float(v) + 0.0) for v in values).encode()
+    pattern = rb"(\s" + key.encode() + rb"\s*=\s*([\"'])).*?(?=\2)"
+    if re.search(pattern, tag, re.DOTALL):
+        return re.sub(pattern, rb"\g<1>" + numbers, tag, count=1, flags=re.DOTALL)
+    return re.sub(rb"\s*(/?>)$", b" " + key.encode() + b'="' + numbers + rb'"\g<1>', tag)
