@@ -47,6 +47,13 @@ def random_motion(
     return motions[0], motions[1]
 
 
+def constants(motion: np.ndarray) -> tuple[Coordinate, ...]:
+    """Return a motion (4, 4) as coordinates without parameters, to stand before others."""
+    angles = Rotation.from_matrix(motion[:3, :3]).as_euler("ZYX", suppress_warnings=True)
+    values = (*motion[:3, 3], *angles)
+    return tuple(Coordinate(kind, (float(v),)) for kind, v in zip(AXES, values, strict=True))
+
+
 def moved(mechanism: pincal.Mechanism, base: np.ndarray, platform: np.ndarray) -> pincal.Mechanism:
     """Return the same machine in other frames: what was at p of a frame is at G p.
 
@@ -54,11 +61,7 @@ def moved(mechanism: pincal.Mechanism, base: np.ndarray, platform: np.ndarray) -
     """
 
     def put(placement: Placement, motion: np.ndarray, values: dict[str, float]) -> Placement:
-        angles = Rotation.from_matrix(motion[:3, :3]).as_euler("ZYX")
-        first = tuple(
-            Coordinate(kind, (float(value),))
-            for kind, value in zip(AXES, (*motion[:3, 3], *angles), strict=True)
-        )
+        first = constants(motion)
         if not placement.coordinates:
             frame = Placement(first).displacement({})
             return Placement().at({}, frame @ placement.origin())
@@ -67,9 +70,16 @@ def moved(mechanism: pincal.Mechanism, base: np.ndarray, platform: np.ndarray) -
     legs = []
     for leg in mechanism.legs:
         values = leg.nominal_by_name
-        foot = replace(leg.joints[0], placement=put(leg.joints[0].placement, base, values))
-        point = replace(leg.point, placement=put(leg.point.placement, platform, values))
-        legs.append(replace(leg, joints=(foot, *leg.joints[1:]), point=point))
+
+        def put_point(joint: pincal.Joint, values: dict[str, float] = values) -> pincal.Joint:
+            return replace(joint, placement=put(joint.placement, platform, values))
+
+        joints = tuple(
+            replace(joint, placement=put(joint.placement, base, values)) if carrier < 0 else joint
+            for joint, carrier in zip(leg.joints, leg.carriers, strict=True)
+        )
+        ends = tuple(end.moved(put_point) for end in leg.ends)
+        legs.append(replace(leg, joints=joints, point=put_point(leg.point), ends=ends))
     home = base @ mechanism.platform.home_pose.as_matrix() @ np.linalg.inv(platform)
     coordinates = mechanism.platform.from_matrices(home)[0]
     return replace(
