@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal import Element, Placement, indices
+from pincal.model.placement import floats, placement_of
 from pincal.symmetry.carry import carry
 from pincal.symmetry.elements import (
     exact,
@@ -353,6 +354,33 @@ def redrawn(leg: pincal.Leg, rng: np.random.Generator, plane: bool) -> pincal.Le
         joints.append(replace(joint, **axes, **limits))
         turns.append(turn)
     return replace(leg, joints=tuple(joints))
+
+
+def written(leg: pincal.Leg, digits: int) -> pincal.Leg:
+    """Return a leg without parameters of its joints, whose frames have so many decimals."""
+    values, joints, point = leg.nominal_by_name, list[pincal.Joint](), leg.point.placement
+    for joint in leg.joints:
+        rest = joint.placement.rest(values, leg.name)
+        drawn = placement_of(joint.placement.displacement(values) @ rest)
+        xyz, rpy = (floats(np.round(triple, digits)) for triple in (drawn.xyz, drawn.rpy))
+        axis = np.round(joint.axis, digits)
+        axes = {"axis": floats(axis / np.linalg.norm(axis)), "home": round(joint.home, digits)}
+        joints.append(replace(joint, placement=Placement((), xyz, rpy), **axes))
+    used = {
+        *point.parameter_units,
+        *(s.gain for s in leg.sensors),
+        *(s.offset for s in leg.sensors),
+    }
+    parameters = tuple(pair for pair in leg.parameters if pair[0] in used)
+    return replace(leg, joints=tuple(joints), parameters=parameters)
+
+
+@pytest.mark.parametrize("digits", [12, 9])
+def test_struts_drawn_with_some_digits_have_their_group(digits: int) -> None:
+    """Of 12 decimals one of six struts pointed along a slide within rounding, and none was D6."""
+    plain, rng = plainly("6UPS"), np.random.default_rng(0)
+    legs = [written(redrawn(leg, rng, plane=False), digits) for leg in plain.legs]
+    assert pincal.symmetry_group(replace(plain, legs=tuple(legs))).name == "D6"
 
 
 @cache

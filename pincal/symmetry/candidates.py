@@ -15,7 +15,7 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.model import Mechanism
 from pincal.model.checks import ALIKE, ROUNDING
 from pincal.symmetry.elements import IDENTITY, Element, applied, isometry
-from pincal.symmetry.shapes import StandingLeg, deviations
+from pincal.symmetry.shapes import StandingLeg, deviations, pointing_joints
 from pincal.types import Array, Index
 from pincal.words.numbers import POSES, amount
 
@@ -33,7 +33,11 @@ class LegImages:
         self.mechanism = mechanism
         self.home = mechanism.platform.home_pose.as_matrix()[0]
         legs = nominal_legs(mechanism)
-        self.shapes = [StandingLeg(leg, self.home, near_home=True) for leg in legs]
+        kinds = [[joint.kind for joint in leg.leg.articulated] for leg in legs]
+        ways = [*zip(kinds, map(pointing_joints, legs), strict=True)]
+        alike = [min(way for other, way in ways if other == kind) for kind in kinds]  # none if any
+        pairs = zip(legs, alike, strict=True)
+        self.shapes = [StandingLeg(leg, self.home, way, near=True) for leg, way in pairs]
         self.base = base = np.array([shape.base for shape in self.shapes])
         """Base points of the legs, base frame, shape (n_legs, 3), [m]."""
         points = ([p.placement.xyz for p in leg.points] for leg in mechanism.legs)
@@ -171,7 +175,7 @@ class LegImages:
         if moved <= ROUNDING * self.size:
             return self.shapes
         near = moved <= NEARLY * self.size
-        return [StandingLeg(shape.closure, carried, near_home=near) for shape in self.shapes]
+        return [StandingLeg(s.closure, carried, s.pointing, near=near) for s in self.shapes]
 
     def permutation(self, element: Element, tolerance: float) -> Permutation:
         """Return the index of each leg's image within a tolerance; empty if a leg has none."""

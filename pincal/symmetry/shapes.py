@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -30,14 +29,30 @@ Deviation: TypeAlias = tuple[str, float, str]
 """What differs, by how much (infinite if it cannot be compared), and the unit: m, rad or 1."""
 
 
+def pointing_joints(closure: LegClosure) -> list[int]:
+    """Return indices of passive revolute joints that point a rod or slide; their centre counts.
+
+    Turned about the rod or slide they give the same leg, if limits bound half-spaces only.
+    """
+    leg, form = closure.leg, closed_form(closure)
+    if form is None:
+        return []
+    joints = [index for index in range(len(leg.moving)) if index != form.driven]
+    limited = any(leg.moving[index].limited for index in joints)
+    free = not limited or (form.frame is None and form.reach().exact)
+    return joints if free and not set(joints) & set(leg.active) else []
+
+
 class StandingLeg:
     """A leg closed at a pose, in the base frame; its joints are all that move, geared ones too."""
 
-    def __init__(self, closure: LegClosure, matrix: Array, *, near_home: bool) -> None:
+    def __init__(
+        self, closure: LegClosure, matrix: Array, pointing: list[int], *, near: bool
+    ) -> None:
         """Close a leg at a pose, shape (4, 4), from its home joints if that is near home."""
-        self.closure, leg = closure, closure.leg
-        closed = close((closure,), matrix[None], near=leg.home[None] if near_home else None)
-        self.reached = near_home or bool(closed.reached[0])
+        self.closure, leg, self.pointing = closure, closure.leg, pointing
+        closed = close((closure,), matrix[None], near=leg.home[None] if near else None)
+        self.reached = near or bool(closed.reached[0])
         moved = closed.joints if closed.reached[0] else leg.home[None]
         self.joints: Sequence[Joint] = leg.articulated
         names = [joint.name for joint in self.joints]
@@ -66,26 +81,6 @@ class StandingLeg:
             along = ((centre - self.points) * self.directions).sum(axis=1, keepdims=True)
             self.points = self.points + along * self.directions
             self.points[self.pointing] = centre
-
-    @cached_property
-    def pointing(self) -> list[int]:
-        """Indices of passive revolute joints that point a rod or slide; only their centre counts.
-
-        Turned about the rod or slide they give the same leg, if limits bound half-spaces only.
-        """
-        leg, form = self.closure.leg, closed_form(self.closure)
-        if form is None:
-            return []
-        joints = [index for index in range(len(leg.moving)) if index != form.driven]
-        limited = any(leg.moving[index].limited for index in joints)
-        return [] if set(joints) & set(leg.active) or (limited and self.barred is None) else joints
-
-    @cached_property
-    def barred(self) -> Array | None:
-        """Normals of the half-spaces to which limits confine a slide, (k, 3); None for others."""
-        form = closed_form(self.closure)
-        reach = form.reach() if form is not None and form.frame is None else None
-        return None if reach is None or not reach.exact else reach.normals
 
     @property
     def build(self) -> dict[str, object]:
@@ -168,11 +163,11 @@ def _turns_apart(
 
 def _bars_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> float:
     """Return the largest angle between half-spaces, carried by Q, that bar two slides."""
-    if first.barred is None or second.barred is None:
-        return 0.0
-    if len(first.barred) != len(second.barred):
+    forms = (closed_form(leg.closure) for leg in (first, second))
+    carried, bars = (form.reach().normals for form in forms if form)
+    if len(carried) != len(bars):
         return np.inf
-    bars = np.linalg.norm((first.barred @ Q.T)[:, None] - second.barred, axis=2)
+    bars = np.linalg.norm((carried @ Q.T)[:, None] - bars, axis=2)
     return float(bars.min(axis=1, initial=np.inf).max(initial=0.0))
 
 
