@@ -33,11 +33,8 @@ class LegImages:
         self.mechanism = mechanism
         self.home = mechanism.platform.home_pose.as_matrix()[0]
         legs = nominal_legs(mechanism)
-        kinds = [[joint.kind for joint in leg.leg.articulated] for leg in legs]
-        ways = [*zip(kinds, map(pointing_joints, legs), strict=True)]
-        alike = [min(way for other, way in ways if other == kind) for kind in kinds]  # none if any
-        pairs = zip(legs, alike, strict=True)
-        self.shapes = [StandingLeg(leg, self.home, way, near=True) for leg, way in pairs]
+        pairs = zip(legs, pointing_joints(legs), strict=True)
+        self.shapes = [StandingLeg(leg, self.home, joints, near=True) for leg, joints in pairs]
         self.base = base = np.array([shape.base for shape in self.shapes])
         """Base points of the legs, base frame, shape (n_legs, 3), [m]."""
         points = ([p.placement.xyz for p in leg.points] for leg in mechanism.legs)

@@ -29,29 +29,32 @@ Deviation: TypeAlias = tuple[str, float, str]
 """What differs, by how much (infinite if it cannot be compared), and the unit: m, rad or 1."""
 
 
-def pointing_joints(closure: LegClosure) -> list[int]:
-    """Return indices of passive revolute joints that point a rod or slide; their centre counts.
+def pointing_joints(legs: Sequence[LegClosure]) -> list[list[int]]:
+    """Return indices of passive revolute joints that point rods or slides; their centre counts.
 
-    Turned about the rod or slide they give the same leg, if limits bound half-spaces only.
+    Turned about the rod or slide they give the same leg, if limits bound half-spaces only. Legs
+    whose joints are of the same kinds have all or none, whatever digits were cut.
     """
+    kinds = [[joint.kind for joint in leg.leg.articulated] for leg in legs]
+    by_leg = [*zip(kinds, map(_pointing, legs), strict=True)]
+    return [min(joints for like, joints in by_leg if like == kind) for kind in kinds]
+
+
+def _pointing(closure: LegClosure) -> list[int]:
     leg, form = closure.leg, closed_form(closure)
-    if form is None:
-        return []
-    joints = [index for index in range(len(leg.moving)) if index != form.driven]
+    joints = [index for index in range(len(leg.moving)) if form and index != form.driven]
     limited = any(leg.moving[index].limited for index in joints)
-    free = not limited or (form.frame is None and form.reach().exact)
+    free = not limited or (form and form.frame is None and form.reach().exact)
     return joints if free and not set(joints) & set(leg.active) else []
 
 
 class StandingLeg:
     """A leg closed at a pose, in the base frame; its joints are all that move, geared ones too."""
 
-    def __init__(
-        self, closure: LegClosure, matrix: Array, pointing: list[int], *, near: bool
-    ) -> None:
-        """Close a leg at a pose, shape (4, 4), from its home joints if that is near home."""
+    def __init__(self, closure: LegClosure, T: Array, pointing: list[int], *, near: bool) -> None:
+        """Close a leg at a pose T, shape (4, 4), from its home joints if that is near home."""
         self.closure, leg, self.pointing = closure, closure.leg, pointing
-        closed = close((closure,), matrix[None], near=leg.home[None] if near else None)
+        closed = close((closure,), T[None], near=leg.home[None] if near else None)
         self.reached = near or bool(closed.reached[0])
         moved = closed.joints if closed.reached[0] else leg.home[None]
         self.joints: Sequence[Joint] = leg.articulated
