@@ -25,7 +25,7 @@ LINES = {
     "kinematics": 3_411,
     "model": 3_552,
     "show": 3_907,
-    "symmetry": 1_191,
+    "symmetry": 1_190,
     "words": 952,
     "workspace": 1_445,
 }
