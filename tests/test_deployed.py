@@ -202,12 +202,16 @@ def test_an_arm_that_bends_is_found_all_over_its_workspace(tmp_path: Path) -> No
     assert min(reached, within) >= 0.99 * 200
 
 
+@pytest.mark.parametrize("at_home", [True, False])
 def test_an_arm_says_which_poses_are_found_without_near(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, at_home: bool
 ) -> None:
-    """So many as the file itself finds; the pose of its example is one of them, to 1e-9."""
+    """So many as the file itself finds, home not counted; the example's pose is found, to 1e-9."""
     monkeypatch.setattr("pincal.show.deployment._TRIED", 25)  # of 100
     robot = loaded("ur5")
+    if not at_home:
+        far = [np.full((1, 6), 9.0)]
+        monkeypatch.setattr("pincal.show.deployment.command", lambda *_: far)
     pincal.deploy(robot, tmp_path / "controller")
     page = (tmp_path / "controller/commanding.md").read_text()
     (numbers,) = re.findall(r"(\d+) of (\d+) poses\s+of the workspace, (\d+) within", page)

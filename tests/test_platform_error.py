@@ -14,6 +14,7 @@ from pincal.design.platform_error import (
     root_mean_squares,
     sizes,
 )
+from pincal.kinematics import configurations
 from pincal.kinematics.configurations import legs_at
 from pincal.show.misses import errors_at
 
@@ -75,6 +76,24 @@ def test_poses_out_of_reach_do_not_count() -> None:
     assert (found.position, found.poses) == (pytest.approx(alone.position), len(poses))
     assert found.limit == pytest.approx(alone.limit)
     assert np.isnan(platform_error(mechanism, covariance, far).position)
+
+
+def test_legs_are_closed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses are not commanded before; if none is in reach, that is refused with the reason."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = pincal.sample_workspace(mechanism, 30, seed=0)
+    forecast, data = pincal.forecast(mechanism, poses, NOISE), pincal.Plan(poses)
+    measurements = pincal.simulate(mechanism, mechanism, data, NOISE, seed=0).measurements
+    result = pincal.calibrate(mechanism, measurements, noise=NOISE)
+    calls = list[int]()
+    asked = configurations.command
+    monkeypatch.setattr(configurations, "command", lambda *a: calls.append(1) or asked(*a))
+    for error_over in (forecast.platform_error, result.expected_error):
+        assert error_over(poses).poses == len(poses)
+        assert not calls
+        with pytest.raises(pincal.MeasurementError, match="row 1 is out of reach of leg_1"):
+            error_over(poses + np.array([50.0, 0.0, 0.0]))
+        calls.clear()
 
 
 def test_what_is_held_counts_where_it_moves_the_platform(

@@ -170,8 +170,7 @@ class CalibrationResult:
 
     def __getitem__(self, key: str) -> IdentifiedParameter:
         """Return a parameter by its id, ``result["leg_1.l"].std``, or raise a MechanismError."""
-        parameter: IdentifiedParameter = self.parameters[key]
-        return parameter
+        return self.parameters[key]
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -261,9 +260,10 @@ class CalibrationResult:
         Raises:
             MechanismError: poses have a wrong shape, or are not finite.
         """
-        if poses is not None:
+        error = expected_error(self, poses)
+        if poses is not None and not error.poses:
             check_reached(self.identified, poses, "the poses")
-        return expected_error(self, poses)
+        return error
 
     @property
     def poses(self) -> Array:

@@ -222,8 +222,10 @@ class Forecast:
 
         Where frames are not measured, it is the error after their best fit.
         """
-        check_reached(self.mechanism, poses, "the poses")
-        return platform_error(self.mechanism, self.covariance, poses, self.lost, self.frames)
+        error = platform_error(self.mechanism, self.covariance, poses, self.lost, self.frames)
+        if not error.poses:
+            check_reached(self.mechanism, poses, "the poses")
+        return error
 
     def poses_for(self, accuracy: float, poses: Plan | Array) -> float:
         """Return the number of poses like the planned ones that gives an accuracy of position.
@@ -271,10 +273,9 @@ def forecast(
         MeasurementError: freedoms are unknown, measurements have no noise, or no pose is in reach.
         MechanismError: poses have a wrong shape, or are not finite.
     """
-    mechanism = as_mechanism(mechanism)
-    noise, setup = as_noise(noise), read_setup(Setup() if setup is None else setup)
+    mechanism, noise = as_mechanism(mechanism), as_noise(noise)
     plan = as_plan(mechanism, poses)
-    setup = setup.of_rows(plan.contacts)
+    setup = read_setup(Setup() if setup is None else setup).of_rows(plan.contacts)
     plan = touching(mechanism, plan.rows(~plan.verifying), setup)  # rows that a fit uses
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):

@@ -209,8 +209,7 @@ def platform_error(
         std = np.sqrt(std**2 + (held_moves**2).sum(axis=2))
     elif lost is not None and lost.shape[1]:
         std[rows] = np.where(_moving(gain, lost), np.inf, std[rows])
-    determined = np.isfinite(std).all(axis=1)
-    known, weights = determined[rows], []
+    known, weights = np.isfinite(std[rows]).all(axis=1), []
     moves = np.concatenate((moves[known], held_moves[rows[known]]), axis=2)
     for unit in ("m", "rad"):
         G = moves[:, [name == unit for name in units]].reshape(-1, moves.shape[2])

@@ -191,10 +191,10 @@ def _example(deployed: Deployed) -> tuple[list[float], list[float], dict[str, in
     poses = command(machine, home_of(machine))[0].tolist()
     if any(leg.is_arm for leg in machine.legs):
         poses += sample_workspace(machine, _TRIED).tolist()
-    tries = ((pose, kinematics.inverse(kinematics.pose(*pose))) for pose in poses)
-    (pose, solution), *ways = [(pose, way) for pose, way in tries if not way.reason]
-    within = sum(not kinematics.beyond_limits(way.joints) for _, way in ways)
-    return pose, solution.values, {"found": len(ways), "tried": len(poses) - 1, "within": within}
+    tries = [(pose, kinematics.inverse(kinematics.pose(*pose))) for pose in poses]
+    pose, solution = next((pose, way) for pose, way in tries if not way.reason)
+    ways = [not kinematics.beyond_limits(way.joints) for _, way in tries[1:] if not way.reason]
+    return pose, solution.values, {"found": len(ways), "tried": len(poses) - 1, "within": sum(ways)}
 
 
 def _how_to(deployed: Deployed, **facts: Any) -> str:
