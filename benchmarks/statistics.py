@@ -31,6 +31,7 @@ import pincal
 Array = NDArray[np.float64]
 Lines = Iterator[tuple[str, str]]
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
+FINE = pincal.Noise(2e-5, 2e-5, 1e-5)
 EXACT_READINGS = pincal.Noise(1e-4, 1e-4, 0.0)
 
 
@@ -108,8 +109,9 @@ def tried(work: Callable[[], object]) -> str:
 
 
 def uniform(p: list[float]) -> str:
-    """Return spread and Kolmogorov–Smirnov probability of p-values."""
-    return f"standard deviation {np.std(p):.3f} (0.289), KS p {kstest(p, 'uniform').pvalue:.3g}"
+    """Return spread, share below 0.05 and Kolmogorov–Smirnov probability of p-values."""
+    spread, below = f"standard deviation {np.std(p):.3f} (0.289)", percent([x < 0.05 for x in p])
+    return f"{spread}, below 0.05 {below}, KS p {kstest(p, 'uniform').pvalue:.3g}"
 
 
 # Claims
@@ -251,6 +253,20 @@ def order(sets: int) -> Lines:
         yield (
             f"drift of ± 0.3 mrad, legs {said}, per leg: error of the platform",
             f"{1e6 * np.median(found):.0f} µm",
+        )
+    for said, legs in (("after leg", names[block]), ("in turns", np.resize(names, count))):
+        broken, withdrawn = 0, 0
+        for seed in range(sets):
+            data = drawn(one, FINE, seed)
+            moved = data.poses + np.linspace(0.0, 2e-4, count)[:, None] * [1.0, 0.0, 0.0]
+            data = replace(data, poses=moved, sets=tuple(legs))
+            result = pincal.calibrate(one.nominal, data, noise=FINE, method="per-leg")
+            limit = promise(result, moved)
+            withdrawn += not np.isfinite(limit)
+            broken += np.sqrt((off(one, values(result)[0]) ** 2).mean()) > limit
+        yield (
+            f"tracker drifts by 0.2 mm, noise 20 µm, leg {said}: broken; withdrawn",
+            f"{broken}; {withdrawn}",
         )
 
 
@@ -447,6 +463,50 @@ def rows(sets: int) -> Lines:
             )
 
 
+def families(sets: int) -> Lines:
+    """10: promises withdrawn from clean data of other machines."""
+    for kind in ("6UPS", "3PUU", "3PRR", "6RUS", "3RPS", "delta"):
+        plan = pincal.sample_configurations(kind, 40, 0)
+        truth, alarms = pincal.disturb(kind, 1e-3, seed=1), []
+        for seed in range(sets):
+            data = pincal.simulate(kind, truth, plan, NOISE, seed).measurements
+            alarms.append(not pincal.calibrate(kind, data, noise=NOISE).promises)
+        yield f"clean {kind}, 40 rows: contradicted", percent(alarms)
+
+
+def sines(sets: int) -> Lines:
+    """10: a sine in one reading of a 6-UPS, a third of χ²."""
+    one, named = machine("6UPS", 40), []
+    psi = one.readings(one.parameters, np.zeros((len(one.positions), 6)))
+    for seed in range(sets):
+        waves = np.zeros_like(psi)
+        waves[:, 1] = 1.55e-4 * np.sin(2 * np.pi * psi[:, 1] / np.ptp(psi[:, 1]) * 2)
+        result = pincal.calibrate(one.nominal, drawn(one, NOISE, seed, waves), noise=NOISE)
+        lacks = [str(f.values) for f in result.findings if f.code == "model-lacks"]
+        named.append((any("leg_2" in values for values in lacks), result.reduced_chi2))
+    hits, squares = zip(*named, strict=True)
+    yield f"6-UPS, a sine in leg 2 (χ² {np.mean(squares):.2f}): named", percent(list(hits))
+
+
+def limits(sets: int) -> Lines:
+    """13: promises and intervals of few poses and much noise."""
+    for kind, count, noise in product(("5R", "3RRR", "6UPS"), (16, 24), (3e-4, 1e-3)):
+        one, kept, cover, said = machine(kind, count), [], [], pincal.Noise(noise, noise, 0.0)
+        poses = one.coordinates(np.zeros((len(one.positions), one.dof)))
+        for seed in range(sets):
+            try:
+                result = pincal.calibrate(one.nominal, drawn(one, said, seed), noise=said)
+            except pincal.PincalError:
+                continue
+            missed = np.sqrt((off(one, values(result)[0]) ** 2).mean())
+            kept.append(missed <= promise(result, poses))
+            cover.append(covers(result, one.parameters))
+        yield (
+            f"{kind}, {count} poses, {1e3 * noise:g} mm, {len(kept)} sets: limit kept; cover",
+            f"{percent(kept)}; {percent(cover)}",
+        )
+
+
 def curved(sets: int) -> Lines:
     """13: noise so large that the problem is curved."""
     for count, noise in ((24, 1e-3), (24, 1e-4)):
@@ -536,7 +596,7 @@ CLAIMS: dict[str, Callable[[int], Lines]] = {
     one.__name__: one
     for one in (
         repeats, units, proportion, chances, held_out, order, shared, sizes, robust, estimated,
-        swapped, rows, polar, scale, curved, steps,
+        swapped, rows, polar, scale, curved, steps, families, sines, limits,
     )
 }  # fmt: skip
 
