@@ -97,18 +97,14 @@ class Calibration:
     def unknowns(self) -> Unknowns:
         """The unknowns of all legs, and those outside the mechanism if poses are unknown."""
         external = self.observation.external
-        free = unknowns(
-            self.mechanism.legs,
-            external.names,
-            fixed=self.options.fixed,
-            tied=self.options.tied,
-            priors=self.options.priors_by_name(self.mechanism),
-        )
+        options, priors = self.options, self.options.priors_by_name(self.mechanism)
+        known = {"fixed": options.fixed, "tied": options.tied}
+        free = unknowns(self.mechanism.legs, external.names, priors=priors, **known)
         start, n = free.start.copy(), len(free.start) - len(external)
         start[:n] = start[:n] if self.start is None else self.start
         nominal = np.append(free.nominal[:n], external.coordinates(external.start))
-        priors = np.append(free.priors[:n], external.priors)
-        return replace(free, start=start, nominal=nominal, priors=priors)
+        sigmas = np.append(free.priors[:n], external.priors)
+        return replace(free, start=start, nominal=nominal, priors=sigmas)
 
     @cached_property
     def observation(self) -> Observation:

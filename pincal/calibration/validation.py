@@ -117,8 +117,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
         of_folds.append([*sums.sum(axis=0)[1:], fits.chi2 / max(fits.degrees_of_freedom, 1)])
         drawn.append(_drawn_errors(fits, held, predicted[0][2], unit, fold))
-    fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
-    p_value = float(bdtrc(0, count, min(chances)))  # of the least of all folds (Šidák 1967)
+    fit, p_value = float(np.sqrt(chi2 / max(dof, 1) / unit)), least_of_folds(chances)
     of_all = [*np.sum(of_folds, axis=0)[:3], chi2 / max(dof, 1)]
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and open_ends[0]
@@ -341,6 +340,11 @@ def _variances_drawn(fits: Fits) -> Array | None:
     chances = ndtr(normal @ (axes * np.sqrt(values.clip(0.0))).T)
     freedoms = 1.0 + 2.0 / spread
     return np.asarray(freedoms / chdtri(freedoms, chances))
+
+
+def least_of_folds(chances: Sequence[float]) -> float:
+    """Return the p-value of the least p-value of all folds (Šidák 1967)."""
+    return float(bdtrc(0, len(chances), min(chances)))
 
 
 def _missed(
