@@ -2,7 +2,7 @@
 
 Passive joints are eliminated leg by leg, so each step solves one small system for the platform's
 twist, by least squares of the gaps [m] if there are more equations than freedoms. Rows that do not
-converge are searched again, with readings that move from home in steps.
+converge are searched again, with readings that move from home in steps, or from sampled poses.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from pincal.blas import one_thread
 from pincal.errors import MechanismError
@@ -20,6 +22,7 @@ from pincal.kinematics.batches import chunks, least_squares, lengths, product, r
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closing import (
     by_leg,
+    close_legs,
     grouped,
     in_home_modes,
     sensor_law,
@@ -85,6 +88,7 @@ class MovingLegs:
 
 
 _WAY = 8  # steps on the way from home
+_SAMPLES, _TRIES = 1000, 16  # poses about home, and those by whose nearest readings searches begin
 _STEPS, _LARGEST = 40, 0.2  # largest number of Newton steps; largest step, over the size and [rad]
 _SMALL = 1e-9  # step after which only rounding errors remain
 _CLOSED = 1e-8  # gap of a closed leg, over its size
@@ -129,7 +133,8 @@ def forward(
 ) -> ForwardSolution:
     """Return the poses of sensor readings, in the assembly mode of home.
 
-    Without a guess the search starts at home, and then follows readings from home. If there are
+    Without a guess the search starts at home, then follows readings from home, and then starts at
+    sampled poses, so that far from home another pose in home's modes may be found. If there are
     more equations than freedoms and readings are not exact, no pose closes all legs: the pose has
     the least sum of squared gaps, and ``gap`` tells how much readings contradict. If drives leave
     freedoms open, a guess is needed, and the pose is near it.
@@ -179,7 +184,7 @@ def forward(
 def _on_the_way(
     mechanism: Mechanism, readings: Array, columns: Array, solution: ForwardSolution
 ) -> ForwardSolution:
-    """Return a solution whose missing rows were searched again, with readings from home on."""
+    """Return a solution whose missing rows were searched again: from home on, then all about."""
     lost = np.flatnonzero(~solution.converged)
     if not len(lost):
         return solution
@@ -191,7 +196,31 @@ def _on_the_way(
     reasons = np.array(solution.reasons, dtype=object)
     reasons[lost] = reached.reasons
     solution.poses[lost], solution.gap[lost] = reached.poses, reached.gap
+    starts, tree = _starts(mechanism)
+    for place in range(1, 1 + min(_TRIES, len(starts))):
+        lost = np.flatnonzero(reasons != "")
+        near = starts[tree.query(readings[lost], [place])[1][:, 0]]
+        reached = _forward(mechanism, readings[lost], near, columns[lost])
+        ok, won = reached.converged, lost[reached.converged]
+        solution.poses[won], solution.gap[won] = reached.poses[ok], reached.gap[ok]
+        reasons[won] = ""
     return replace(solution, converged=reasons == "", reasons=tuple(reasons))
+
+
+@lru_cache(maxsize=8)
+def _starts(mechanism: Mechanism) -> tuple[Array, KDTree]:
+    """Return poses about home, (N, 4, 4), that legs reach in their modes; a tree of readings."""
+    platform, legs = mechanism.platform, nominal_legs(mechanism)
+    ends = [np.pi if unit == "rad" else mechanism.size for unit in platform.units]
+    twists = np.random.default_rng(0).uniform(-1.0, 1.0, (_SAMPLES, platform.dof)) * ends
+    poses = platform.displaced(platform.home_pose[[0] * _SAMPLES].as_matrix(), twists)
+    groups = close_legs(legs, poses)
+    joints = by_leg(groups, lambda legs: np.where(legs.reached[:, None], legs.joints, np.nan))
+    pairs = zip(legs, joints, strict=True)
+    readings = [sensor_law(leg).reading(of_leg[:, leg.leg.active]) for leg, of_leg in pairs]
+    square = mechanism.constraints == platform.dof  # else readings may contradict each other
+    reached = np.isfinite(np.hstack(readings)).all(axis=1) & square
+    return poses[reached], KDTree(np.hstack(readings)[reached])
 
 
 def reading_range(mechanism: Mechanism) -> tuple[Array, Array, Array]:
