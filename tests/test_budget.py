@@ -22,7 +22,7 @@ LINES = {
     "files": 3_256,
     "formats": 4_161,
     "instruments": 1_547,
-    "kinematics": 3_411,
+    "kinematics": 3_440,
     "model": 3_552,
     "show": 3_907,
     "symmetry": 1_190,
