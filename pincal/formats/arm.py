@@ -25,6 +25,8 @@ from pincal.types import Array
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _TOOL = "tool"
+#: End of the name of a joint that turns back what a ball's frame was turned.
+TURNED = "~"
 #: Suffixes of the six joints of a floating link, in order (see ``turns``).
 _FREE = ("px", "py", "pz", "x", "y", "z")
 
@@ -178,6 +180,10 @@ def joints_along(tree: Tree, steps: Sequence[Step], normal: Array | None = None)
                 turn = Joint(f"{name}_z", "revolute", Placement(), (x, y, z), -np.inf, np.inf)
                 joints.append(turn)
         joints += _offset(f"{name}_back", T_far_joint)
+    for i in reversed(range(len(joints) - 1)):
+        if joints[i].name.endswith(TURNED):  # the next joint is displaced along the spin
+            turned = joints[i].placement.origin() @ joints[i + 1].placement.origin()
+            joints[i : i + 2] = [replace(joints[i + 1], placement=placement_of(turned))]
     return joints
 
 

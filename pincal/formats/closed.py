@@ -6,7 +6,7 @@ leg keeps the displacements that its closure can distinguish (``independent``) a
 
 import logging
 import re
-from collections import Counter
+from collections import ChainMap, Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -19,7 +19,16 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError, located
 from pincal.files.tree import Step, Tree, coupled
 from pincal.formats.arm import displaced
-from pincal.formats.limbs import Limb, leg_of, limbs_of, onto_normal, plane_of, point_platform
+from pincal.formats.limbs import (
+    Limb,
+    leg_of,
+    limbs_of,
+    onto_normal,
+    plane_of,
+    point_platform,
+    spins_of,
+    turned,
+)
 from pincal.kinematics.assembly import assembled, independent, opening
 from pincal.model import Joint, Leg, Mechanism, Platform, placement_of
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
@@ -154,6 +163,8 @@ def drawing_of(tree: Tree, platform: str | None = None, base: str | None = None)
     else:
         limbs, kind = _guiding(tree, limbs, "spatial" if normal is None else "planar")
         legs = [leg_of(tree, limb, platform, normal) for limb in limbs]
+        if spins := ChainMap(*map(partial(spins_of, tree), legs)):
+            return drawing_of(turned(tree, spins), platform)
         turn = _platform_turn(tree.pose_at_zero(platform)[:3, :3], kind, normal)
     legs = [_in_frames(leg, normal, turn, tree.slack) for leg in legs]
     legs = _all_named(legs)
@@ -267,7 +278,8 @@ def _named(name: str, leg: Leg, shared: Counter[str]) -> Leg:
 
     joints = [replace(joint, mass=0.0, centre=Joint.centre) for joint in leg.joints]  # frames moved
     ends = (end.moved(partial(renamed, place=i)) for i, end in enumerate(leg.ends, 2))
-    return replace(leg, name=name, joints=tuple(joints), point=renamed(leg.point), ends=tuple(ends))
+    changed = replace(leg, name=name, joints=tuple(joints), ends=tuple(ends))
+    return replace(changed, point=renamed(leg.point), settled=False)
 
 
 def _joint_remarks(tree: Tree, legs: Sequence[Leg]) -> Iterator[str]:

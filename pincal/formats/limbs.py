@@ -6,7 +6,7 @@ in a point (three revolute axes; in the plane, one) closes a point; any other cl
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 
@@ -16,12 +16,14 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.tree import Edge, Step, Tree, route
-from pincal.formats.arm import joints_along
+from pincal.formats.arm import TURNED, joints_along
 from pincal.model import Closing, Joint, Leg, Placement, Sensor, placement_of
-from pincal.model.checks import EXACT, listed
+from pincal.model.checks import ALIKE, EXACT, listed
 from pincal.model.joint import End
+from pincal.model.platform import turns_in_series
 from pincal.types import Array
 
+_SPINS = 1e-7  # singular value, of motions over the size, below which a motion moves no end
 _IN_EACH_LEG = ([0, 3], [0, 4], [1, 3], [1, 4])  # drives among five joints of a loop
 
 
@@ -233,7 +235,70 @@ def leg_of(tree: Tree, limb: Limb, platform: str, normal: Array | None) -> Leg:
         way = [*way, Joint("tip", "fixed")]
     _hang(joints, way)
     sensors = _sensors(tree, joints)
-    return Leg("limb", tuple(joints), sensors, (), met, closes, ends=tuple(ends))
+    return Leg("limb", tuple(joints), sensors, (), met, closes, ends=tuple(ends), settled=True)
+
+
+def spins_of(tree: Tree, leg: Leg) -> dict[str, Array]:
+    """Return rotations, (4, 4), by name of ball, after which links spin idly about z of its frame.
+
+    Held is then the spin alone: the other two axes turn the link into any direction.
+    """
+    children = {edge.joint.name: edge.child for edge in tree.edges}
+    places, motions = leg.motions()
+    names = [leg.moving[i].name for i in leg.passive]
+    vectors, sizes, _ = np.linalg.svd(motions[:, leg.passive])
+    null = vectors[:, :, int((sizes[0] > _SPINS).sum()) :]
+    R, spins = leg.link_placements(places)[..., :3, :3], dict[str, Array]()
+    for ball in {name.removesuffix("_x") for name in names}:
+        x, y, z = series = _axes(ball)
+        drawn = x not in children or children[x] == f"{children.get(z)}_{x}"  # see ``turns``
+        if not drawn or [name for name in names if name in series] != series:
+            continue
+        turns, share, _ = np.linalg.svd(null[:, [names.index(name) for name in series]])
+        axes = np.stack([R[:, leg.index(name), :, k] for k, name in enumerate((x, y, z))], axis=2)
+        along = R[:, leg.index(z)].mT @ axes @ turns[:, :, :1]  # in the frame after the ball
+        along *= np.sign(along[:, 2:]) / np.linalg.norm(along, axis=1, keepdims=True)
+        turn = np.eye(4)
+        turn[:3, :3] = onto_normal(along[0, :, 0])
+        steady = share.min(initial=1.0) * null.size > _SPINS and np.ptp(along, axis=0).max() < ALIKE
+        if steady and not np.array_equal(turn, np.eye(4)):
+            spins[ball] = turn
+    return spins
+
+
+def _axes(ball: str) -> list[str]:
+    return [f"{ball}_{axis}" for axis in "xyz"]
+
+
+def turned(tree: Tree, spins: Mapping[str, Array]) -> Tree:
+    """Return a tree in which the frames of some balls are turned by rotations, (4, 4), by name."""
+    edges = list[Edge]()
+    homes = {edge.joint.name: edge.joint for edge in tree.edges}
+    for edge in tree.edges:
+        ball, k = edge.joint.name[:-2], "_x_y_z".find(edge.joint.name[-2:]) // 2
+        if ball not in spins or k < 0:
+            edges.append(edge)
+            continue
+        turn, joint = spins[ball], edge.joint
+        moves = [homes[name].motion(np.array([homes[name].home]))[0] for name in _axes(ball)]
+        home = turn.T @ moves[0] @ moves[1] @ moves[2] @ turn
+        joint = replace(joint, home=float(turns_in_series(home[None, :3, :3])[0, k]))
+        edges.append(replace(edge, joint=_turned(joint, turn) if k == 0 else joint))
+        if k == 2:
+            link = f"{edge.child}_{ball}"
+            edges[-1] = replace(edges[-1], child=link)
+            back = Joint(f"{ball}{TURNED}", "fixed", placement_of(turn.T))
+            edges.append(Edge(back, link, edge.child))
+    loops = list(tree.loops)
+    for i, loop in enumerate(loops):
+        if (turning := spins.get(loop.joint.name)) is not None:
+            second = placement_of(loop.at_child.origin() @ turning)
+            loops[i] = replace(loop, joint=_turned(loop.joint, turning), at_child=second)
+    return replace(tree, edges=tuple(edges), loops=tuple(loops))
+
+
+def _turned(joint: Joint, turn: Array) -> Joint:
+    return replace(joint, placement=placement_of(joint.placement.origin() @ turn))
 
 
 def _sensors(tree: Tree, joints: Iterable[Joint]) -> tuple[Sensor, ...]:

@@ -133,8 +133,9 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
     shifts: list[tuple[str, Array]] = []
     for calibrated in _legs_of(path, urdf, mechanism):
         for point in (end.point for end in calibrated.every_end if end.closes == "point"):
-            if point is not None and point.name in urdf:
-                placements[point.name] = point.placement.origin()
+            if point is not None and (name := point.name.removesuffix("_back")) in urdf:
+                T = point.placement.origin()  # or, as _back, the platform's place in its link
+                placements[name] = T if name == point.name else np.asarray(np.linalg.inv(T))
         if any(_named(urdf, joint.name) for joint in calibrated.moving):
             chain = _of_chain(path, urdf, calibrated)
             placements |= chain
@@ -203,20 +204,12 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
     """Return the origins of a leg's joints by name, (4, 4), base first."""
     carriers = {edge.child: _named(urdf, name) for name, edge in urdf.items()}
     origins: dict[str, Array] = {}
+    turns, names = dict[int, Array](), [joint.name for joint in leg.joints]
     on: dict[int, str | None] = {-1: None}  # the URDF's joint that carries each link
     for index, joint in enumerate(leg.joints):
         name, previous = _named(urdf, joint.name), on[leg.carriers[index]]
         if name is None or name in origins:
-            held = joint is leg.joints[-1] and leg.closes == "frame"  # see ``_shift``
-            zeros = dict.fromkeys(joint.placement.parameter_units, 0.0)
-            nominal = leg.with_parameters(zeros).joints[leg.joints.index(joint)].placement.origin()
-            moved = np.abs(np.linalg.inv(nominal) @ joint.placement.origin() - np.eye(4)).max()
-            if not held and moved > ROUNDING:
-                raise MechanismError(
-                    f"{path} has no joint {joint.name!r}, whose placement was calibrated; give "
-                    f"the URDF from which the mechanism was made, or hold {', '.join(zeros)} "
-                    "(--fixed)"
-                )
+            _check_held(path, leg, joint)
             on[index] = previous if name in origins else joint.name
             continue
         drawn, carrier = urdf[name].joint, carriers.get(urdf[name].parent)
@@ -226,15 +219,38 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
                 f"but on {previous!r} in the mechanism"
             )
         if joint.kind != "fixed" and name == joint.name:
-            turned = np.abs(np.subtract(drawn.axis, joint.axis)).max() > ROUNDING
-            if drawn.kind != joint.kind or turned:
-                raise MechanismError(
-                    f"{path}: joint {name!r} cannot be placed: its axis in the URDF differs from "
-                    "that in the mechanism, whose frames were turned on import"
-                )
-        origins[name] = joint.placement.origin()
+            _check_axis(path, joint, drawn)
+        origins[name] = turns.get(leg.carriers[index], np.eye(4)) @ joint.placement.origin()
+        if ball := [leg.index(axis) for axis in names if axis in (f"{name}_y", f"{name}_z")][1:]:
+            turn = turns[ball[0]] = np.eye(4)  # of its frame, along a spin
+            turn[:3, :3] = drawn.placement.origin()[:3, :3].T @ origins[name][:3, :3]
+            origins[name] = origins[name] @ turn.T
         on[index] = name
     return origins
+
+
+def _check_held(path: Path, leg: Leg, joint: Joint) -> None:
+    """Raise if a joint that is not in a URDF was displaced."""
+    held = joint is leg.joints[-1] and leg.closes == "frame"  # see ``_shift``
+    zeros = dict.fromkeys(joint.placement.parameter_units, 0.0)
+    nominal = leg.with_parameters(zeros).joints[leg.joints.index(joint)].placement.origin()
+    moved = np.abs(np.linalg.inv(nominal) @ joint.placement.origin() - np.eye(4)).max()
+    if not held and moved > ROUNDING:
+        raise MechanismError(
+            f"{path} has no joint {joint.name!r}, whose placement was calibrated; give "
+            f"the URDF from which the mechanism was made, or hold {', '.join(zeros)} "
+            "(--fixed)"
+        )
+
+
+def _check_axis(path: Path, joint: Joint, drawn: Joint) -> None:
+    """Raise if a joint is of another kind, or about another axis, than in a URDF."""
+    turned = np.abs(np.subtract(drawn.axis, joint.axis)).max() > ROUNDING
+    if drawn.kind != joint.kind or turned:
+        raise MechanismError(
+            f"{path}: joint {joint.name!r} cannot be placed: its axis in the URDF differs from "
+            "that in the mechanism, whose frames were turned on import"
+        )
 
 
 def _shift(urdf: Edges, leg: Leg) -> Array:
@@ -245,7 +261,7 @@ def _shift(urdf: Edges, leg: Leg) -> Array:
     last, shift = leg.joints[-1], np.eye(4)
     if leg.closes == "frame":
         return shift if last.name in urdf else last.placement.origin()
-    if leg.point.name in urdf:
+    if leg.point.name.removesuffix("_back") in urdf:
         return shift
     tip, names = _named(urdf, last.name), leg.point.placement.parameter_units
     if names and tip is not None and urdf[tip].moves:  # otherwise the platform is in another file

@@ -101,10 +101,18 @@ class Leg:
 
     def _idle(self) -> list[str]:
         """Return names of the passive joints that move no end, by the rank of their motions."""
-        idle: list[str] = []
-        free, n = list(self.passive), len(self.moving)
+        idle, free = list[str](), list(self.passive)
         if not (free and np.isfinite(self.home).all()):
             return idle
+        motions = self.motions()[1]
+        while free and np.linalg.matrix_rank(motions[:, free], tol=_IDLE).max() < len(free):
+            null = np.abs(np.linalg.svd(motions[0, free])[0][:, -1])
+            idle.append(self.moving[free.pop(int(null.argmax()))].name)
+        return idle
+
+    def motions(self) -> tuple[Array, Array]:
+        """Return places about home, (4, n), and by each joint the rows of ends, (4, n, n_rows)."""
+        n = len(self.moving)
         shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, 1, n))
         steps = _STEP * np.array((-np.eye(n), np.eye(n)))[:, None]  # to central differences
         joints = self.home + (_ABOUT * shares + steps) * self.scales
@@ -113,11 +121,9 @@ class Leg:
         shifts = (after - before)[..., :3, 3].reshape(-1, 3) / self.size
         twists = np.hstack((shifts, Rotation.from_matrix(turns).as_rotvec())) / (2.0 * _STEP)
         by_end = zip(twists.reshape(-1, _PLACES, n, 6), self.every_end, strict=True)
-        motions = np.concatenate([twist[:, :, list(end.rows)] for twist, end in by_end], axis=2)
-        while free and np.linalg.matrix_rank(motions[:, free], tol=_IDLE).max() < len(free):
-            null = np.abs(np.linalg.svd(motions[0, free])[0][:, -1])
-            idle.append(self.moving[free.pop(int(null.argmax()))].name)
-        return idle
+        rows = [twist[:, :, list(end.rows)] for twist, end in by_end]
+        places = self.home + _ABOUT * shares[:, 0] * self.scales
+        return places, np.concatenate(rows, axis=2)
 
     @cached_property
     def every_end(self) -> tuple[End, ...]:
