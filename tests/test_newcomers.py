@@ -182,7 +182,9 @@ def test_few_rows_without_noise_are_refused_with_the_reason(tables: Path) -> Non
 
 def test_wrong_kinds_are_named_as_the_documentation_names_them() -> None:
     """Articles, None, and all that is taken."""
-    with pytest.raises(pincal.MeasurementError, match="noise: expected a Noise or None; got 3"):
+    with pytest.raises(
+        pincal.MeasurementError, match=r"noise of Options: expected Noise \| None; got 3"
+    ):
         pincal.calibrate("3RRR", "none.csv", noise=3)
     with pytest.raises(
         pincal.MeasurementError,

@@ -18,7 +18,7 @@ import numpy as np
 from pincal.architectures.architecture import Architecture, Values, length, text
 from pincal.errors import MechanismError
 from pincal.model import Follows, Joint, Leg, Mechanism, Placement, Platform, Sensor
-from pincal.model.checks import EXACT
+from pincal.model.checks import EXACT, check_kinds
 from pincal.types import Array
 
 UP = (0.0, 0.0, 1.0)
@@ -167,6 +167,7 @@ def over_pulley(
         >>> pincal.over_pulley(robot.legs[0], 0.03).parameter_names[-1]
         'r'
     """
+    check_kinds(locals(), over_pulley, MechanismError)
     if not is_cable(leg):
         raise MechanismError(
             f"{leg.name} cannot run over a pulley: expected a universal joint at the anchor, and a "

@@ -229,8 +229,7 @@ def new_mechanism(architecture: str, *, name: str = "", **dimensions: Any) -> Me
     """
     kind = architecture_of(architecture)
     values = kind.complete(dimensions)
-    made = kind.make(values)
-    described = f"{kind.title}: {', '.join(kind.sheet(values))}."
+    made, described = kind.make(values), f"{kind.title}: {', '.join(kind.sheet(values))}."
     name, description = name or kind.name.replace("-", "_"), made.description or described
     made = replace(made, name=name, description=description)
     return made if made.by_readings else kind.at_home(made, values)

@@ -89,8 +89,7 @@ def prepared(
     **single_options: Any,
 ) -> Calibration:
     """Return a calibration to be run; arguments and errors are as in ``calibrate``."""
-    asked = Options.of(options, **single_options)
-    machine = as_mechanism(mechanism)
+    asked, machine = Options.of(options, **single_options), as_mechanism(mechanism)
     data = read_measurements(
         measurements,
         machine,

@@ -33,7 +33,7 @@ from pincal.files.journal import FAILURE, Columns, Row, RowFile
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.model import Mechanism, Noise, Plan, means
-from pincal.model.checks import count_of
+from pincal.model.checks import check_kinds, count_of
 from pincal.option import option
 from pincal.types import Array
 from pincal.workspace.sampling import sample_configurations
@@ -314,6 +314,7 @@ def montecarlo(
         >>> study.known.shape
         (2, 3)
     """
+    check_kinds({"path": path, "workers": workers}, montecarlo, MeasurementError)
     mechanism, noise = as_mechanism(mechanism), as_noise(study.pop("noise", None))
     asked: Options = study.pop("options", None) or Options()
     options = replace(asked, noise=noise, progress=None)

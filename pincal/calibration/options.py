@@ -12,7 +12,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.text import in_si, plain_number
 from pincal.model import Measurements, Mechanism, Noise, Parameter, Setup, means
-from pincal.model.checks import choice_of, count_of, counted, must_be
+from pincal.model.checks import check_kinds, choice_of, count_of, counted, must_be
 from pincal.model.setup import Systematic
 from pincal.option import option
 from pincal.types import Array, Index
@@ -155,12 +155,15 @@ class Options:
     def __post_init__(self) -> None:
         for name, known in _CHOICES.items():
             choice_of(getattr(self, name), get_args(known), name, MeasurementError)
-        must_be(self.noise, (Noise, type(None)), "noise", MeasurementError)
-        must_be(self.setup, Setup, "setup", MeasurementError)
-        must_be(self.progress, (Callable, type(None)), "progress", MeasurementError)
-        if not isinstance(self.folds, int) or self.folds < 0 or self.folds == 1:
+        for name in ("fixed", "tied", "terms"):
+            texts = must_be(getattr(self, name), Iterable, name, MeasurementError)
+            object.__setattr__(self, name, (texts,) if isinstance(texts, str) else tuple(texts))
+        object.__setattr__(self, "tolerance", _tolerance(self.tolerance))
+        object.__setattr__(self, "priors", _parse_priors(self.priors))
+        check_kinds(vars(self), Options, MeasurementError)
+        if self.folds < 0 or self.folds == 1:
             raise MeasurementError(
-                f"--folds {self.folds!r}: expected 2 or more, or 0 for no held-out validation; "
+                f"--folds {self.folds}: expected 2 or more, or 0 for no held-out validation; "
                 "models are compared on at least two folds"
             )
         if not (self.latent or (self.setup.plain and self.setup.systematic == Systematic())):
@@ -168,11 +171,6 @@ class Options:
                 "unknown frames, targets, distances, contacts, instruments and systematic errors "
                 "need all legs at once; leave out --method per-leg"
             )
-        for name in ("fixed", "tied", "terms"):
-            texts = must_be(getattr(self, name), Iterable, name, MeasurementError)
-            object.__setattr__(self, name, (texts,) if isinstance(texts, str) else tuple(texts))
-        object.__setattr__(self, "tolerance", _tolerance(self.tolerance))
-        object.__setattr__(self, "priors", _parse_priors(self.priors))
 
     @classmethod
     def of(cls, options: Options | None = None, **given: Any) -> Options:

@@ -37,6 +37,7 @@ from pincal.instruments.lens import Lens
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
 from pincal.model import LOAD, Mechanism, Plan
+from pincal.model.checks import check_kinds
 from pincal.model.relations import Instrument
 from pincal.types import Array
 from pincal.words.findings import sentence
@@ -297,6 +298,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def read_result(folder: str | Path) -> dict[str, Any]:
     """Return the contents of a folder's ``result.json``; errors are as in ``load_result``."""
+    check_kinds(locals(), read_result, FileError)
     path = Path(folder) / RESULT
     try:
         text = read_text(path, LARGEST_FILE["result"], MeasurementError)

@@ -23,7 +23,7 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.collision import arm_free_of_collision
 from pincal.kinematics.configurations import check_reached
 from pincal.model import Mechanism, Noise, Plan, Setup
-from pincal.model.checks import listed, must_be
+from pincal.model.checks import check_kinds, listed, must_be
 from pincal.option import option
 from pincal.words.numbers import amount
 from pincal.workspace.criteria import Margins, in_workspace
@@ -123,6 +123,7 @@ def select(
         (16, 4)
     """
     mechanism, choice = as_mechanism(mechanism), PlanningOptions(**options)
+    check_kinds(vars(choice), PlanningOptions, MeasurementError)
     must_be(progress, Callable, "progress", MeasurementError)
     if mechanism.influences:
         _log.info(

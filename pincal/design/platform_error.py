@@ -27,8 +27,7 @@ Seen = Callable[[Array, Array], tuple[Array, Array, tuple[str, ...]]]
 """Function that projects twists of the platform, (N, dof, k), at poses, (N, dof), on r measured
 quantities: (N, r, k). It also returns their motion by unknown frames, (N, r, m), and their units;
 positions of several targets are divided by the square root of the number of targets."""
-CONFIDENCE = 0.95
-DRAWS = 10_000
+CONFIDENCE, DRAWS = 0.95, 10_000
 SAMPLES = 1000
 """Number of configurations of the workspace over which errors are stated."""
 _ROUNDING = 1e-6  # relative rounding error of a motion, and of the uncertainty of a pose

@@ -252,8 +252,7 @@ def select_poses(
                 "single legs. Choose configurations for all parameters together: "
                 "select_configurations, or 'pincal select' without a protocol"
             )
-    search = Search(mechanism, candidates, count, **options)
-    names = mechanism.leg_names
+    search, names = Search(mechanism, candidates, count, **options), mechanism.leg_names
     carried = {name: (name, IDENTITY, True) for name in names}
     if protocol in ("symmetric", "orbits"):
         group = orbits.selection_group(mechanism)

@@ -18,7 +18,7 @@ from pincal.files.tree import Step, Tree, coupled, route, turns
 from pincal.formats.closings import read_closed
 from pincal.kinematics.closure import LegClosure
 from pincal.model import Joint, Leg, Mechanism, Placement, Platform, Sensor, placement_of
-from pincal.model.checks import listed, must_be
+from pincal.model.checks import check_kinds, listed
 from pincal.model.consistency import identifiers
 from pincal.model.placement import Coordinate
 from pincal.types import Array
@@ -33,7 +33,8 @@ _FREE = ("px", "py", "pz", "x", "y", "z")
 
 def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
     """Return a serial arm from any URDF: see ``Mechanism.from_urdf``."""
-    path = Path(must_be(path, (str, Path), "a URDF file", MechanismError))
+    check_kinds(locals(), load_arm, MechanismError)
+    path = Path(path)
     return replace(serial_arm(read_closed(path), tip, base), name=re.sub(r"\W", "_", path.stem))
 
 

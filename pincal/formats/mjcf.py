@@ -46,8 +46,7 @@ _PLATFORM = "platform"
 
 def read_mjcf(path: Path) -> Tree:
     """Return the tree of an MJCF file, with its loops and drives."""
-    title = read_xml(path, "mujoco").get("model")
-    model = compiled(path)
+    title, model = read_xml(path, "mujoco").get("model"), compiled(path)
     links, joints = names_of(model)
     edges = [edge for body in range(1, model.nbody) for edge in _edges(model, body, links, joints)]
     carriers, remarks = {edge.child: edge.joint.name for edge in edges}, dict[str, str]()

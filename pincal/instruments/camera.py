@@ -21,7 +21,7 @@ from pincal.errors import MeasurementError
 from pincal.instruments.lens import Lens
 from pincal.instruments.placing import board_in_camera, by_hand_eye, placed_by_rays
 from pincal.model import Parameter
-from pincal.model.checks import array_of, check_sizes, must_be, named_points, set_point
+from pincal.model.checks import array_of, check_kinds, check_sizes, named_points, set_point
 from pincal.model.relations import Residuals
 from pincal.types import Array, Mask, Point
 
@@ -178,8 +178,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         error = MeasurementError
-        must_be(self.lens, Lens, f"lens of camera {self.name!r}", error)
-        must_be(self.markers, Markers, f"markers of camera {self.name!r}", error)
+        check_kinds(vars(self), Camera, error)
         if self.towards is not None and self.rotation is None and self.at is not None:
             object.__setattr__(self, "rotation", _looking(self.at, self.towards))
         if self.known and (self.at is None or self.rotation is None):

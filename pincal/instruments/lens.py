@@ -7,7 +7,7 @@ signs. Camera axes point right, down and ahead; (0, 0) is the centre of the uppe
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.model import Parameter
-from pincal.model.checks import array_of, count_of, must_be, number_of
+from pincal.model.checks import array_of, check_kinds, count_of, number_of
 from pincal.types import Array, Mask
 
 PLANE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -63,10 +63,8 @@ class Lens:
             object.__setattr__(self, name, value)
 
         error = MeasurementError
-        sides = must_be(self.size, Iterable, "size of an image [px]", error)
-        size = tuple(count_of(side, "a side of an image [px]", error, 1) for side in sides)
-        if len(size) != 2:
-            raise MeasurementError(f"an image's size is {self.size!r}; expected width, height [px]")
+        check_kinds(vars(self), Lens, error)
+        size = tuple(count_of(side, "a side of an image [px]", error, 1) for side in self.size)
         focal = _USUAL_FOCAL * max(size) if self.focal is None else self.focal
         pair = (focal, focal) if np.ndim(focal) == 0 else focal
         f = array_of(pair, (2,), "focal length [px]", error)
@@ -83,7 +81,7 @@ class Lens:
         sigmas = self.unknown
         if isinstance(sigmas, bool):
             sigmas = dict.fromkeys(self.names, np.inf) if sigmas else {}
-        for name, sigma in must_be(sigmas, Mapping, "unknown of a lens", error).items():
+        for name, sigma in sigmas.items():
             if name not in self.names or not sigma > 0.0:
                 raise MeasurementError(
                     f"unknown of lens {self.name!r}: {name}: {sigma}; expected standard deviations "
@@ -93,7 +91,7 @@ class Lens:
 
     def _coefficients(self) -> tuple[float, ...]:
         """Return the coefficients of distortion, zero if they are unknown."""
-        counts = _COUNTS[must_be(self.fisheye, bool, "fisheye of a lens", MeasurementError)]
+        counts = _COUNTS[self.fisheye]
         if self.distortion is None:
             return (0.0,) * (4 if self.fisheye else 5) if self.unknown else ()
         if len(self.distortion) not in counts:

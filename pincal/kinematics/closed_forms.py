@@ -108,8 +108,7 @@ class ClosedForm:
             cos = flat + height * height + self.radius**2 - self.length**2
             cos = cos / (2 * self.radius * far)
             cos = np.where(np.isnan(cos), 0.0, cos)
-            possible = np.abs(cos) <= 1.0
-            cos = np.clip(cos, -1.0, 1.0)
+            possible, cos = np.abs(cos) <= 1.0, np.clip(cos, -1.0, 1.0)
             sin = self.mode * np.sqrt((1 - cos) * (1 + cos))
             radial, way = radial / safe, way / safe  # turned to the drive
             c, s = cos * radial + sin * way, cos * way - sin * radial

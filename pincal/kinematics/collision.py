@@ -14,6 +14,7 @@ from pincal.files.text import check_name
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model import Mechanism, Plan
+from pincal.model.checks import check_kinds
 from pincal.types import Array, Mask
 
 _CLOSE = 2  # joints between bodies; nearer ones touch by design
@@ -49,6 +50,7 @@ def free_of_collision(path: str | Path, joints: Sequence[str], positions: Array)
         FileError: the file or one of its meshes cannot be read.
         MechanismError: a joint does not exist, or there is no collision geometry.
     """
+    check_kinds(locals(), free_of_collision, MechanismError)
     model, shapes = _collision_model(Path(path).absolute())
     if unknown := [name for name in joints if not model.existJointName(name)]:
         known = ", ".join(list(model.names)[1:])

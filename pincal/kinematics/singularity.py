@@ -234,8 +234,7 @@ def can_hold(
     mechanism: Mechanism, matrices: Array, lines: list[Array], least: float | None = None
 ) -> Mask:
     """Return where tensions within limits hold the platform, (N,)."""
-    A = np.concatenate(lines, axis=1).transpose(0, 2, 1)
-    limits = mechanism.cables or Cables()
+    A, limits = np.concatenate(lines, axis=1).transpose(0, 2, 1), mechanism.cables or Cables()
     low = max(least or 0.0, limits.least)
     middle = np.sqrt(max(low, 1.0) * min(limits.most, 1e6))
     change = np.linalg.pinv(A) @ (weight(mechanism, matrices) + A.sum(axis=2) * middle)[..., None]

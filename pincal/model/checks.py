@@ -1,8 +1,10 @@
 """Checks of user input, called where objects are made, and descriptions of values in messages."""
 
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -26,9 +28,10 @@ _WIDTH = 118  # of a line
 
 def described(value: object) -> str:
     """Return an object's type, with its shape or a short value, for a message."""
+    value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} and type {value.dtype}"
-    if value is None or isinstance(value, bool | int | float | str):
+    if value is None or isinstance(value, bool | int | float | str | tuple | list | dict):
         text = repr(value)
         return text if len(text) <= 60 else f"{text[:57]}…"
     return f"a {type(value).__name__}"
@@ -148,11 +151,7 @@ def generator_of(seed: Any, error_type: type[PincalError]) -> np.random.Generato
 
 
 def must_be(
-    value: Any,
-    kind: Any,
-    name: str,
-    error_type: type[PincalError],
-    expected: str = "",
+    value: Any, kind: Any, name: str, error_type: type[PincalError], expected: str = ""
 ) -> Any:
     """Return the value if it is of a type, or one of types; or raise an error of the given type.
 
@@ -160,13 +159,38 @@ def must_be(
     """
     if not isinstance(value, kind):
         special = {type(None): "None", np.ndarray: "an array", Callable: "a function"}
-        named = [
-            special.get(accepted, f"a{'n' * (accepted.__name__[0] in 'AEIOU')} {accepted.__name__}")
-            for accepted in (kind if isinstance(kind, tuple) else (kind,))
-        ]
-        expected = expected or " or ".join(named)
+        kinds = kind if isinstance(kind, tuple) else (kind,)
+        words = {k: f"a{'n' * (k.__name__[0] in 'AEIOU')} {k.__name__}" for k in kinds} | special
+        expected = expected or " or ".join(words[k] for k in kinds)
         raise error_type(f"{name}: expected {expected}; got {described(value)}")
     return value
+
+
+def check_kinds(values: Mapping[str, Any], owner: Any, error_type: type[PincalError]) -> None:
+    """Raise an error of the given type unless values are as a class or function annotates them."""
+    for name, kind in _hints(owner).items():
+        if name in values and not _is_of(values[name], kind):
+            expected = re.sub(r"(\w+\.)+(?=\w)|<class '|'>", "", str(kind))  # no names of modules
+            label = f"{name} of {owner.__name__}: expected {expected}"
+            raise error_type(f"{label}; got {described(values[name])}")
+
+
+_hints, _KINDS = cache(get_type_hints), {float: Real, int: Integral, Sequence: tuple, Any: object}
+
+
+def _is_of(value: Any, kind: Any) -> bool:
+    """Return whether a value is of an annotated kind; lists and arrays count as tuples."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return str(value) in inner
+    if origin in (Union, type(int | str)):
+        return any(_is_of(value, each) for each in inner)
+    if origin is Mapping and isinstance(value, Mapping):
+        return all(all(map(_is_of, pair, inner)) for pair in value.items())
+    if origin not in (tuple, Sequence) or not isinstance(value, tuple | list | np.ndarray):
+        return origin is np.ndarray or isinstance(value, _KINDS.get(origin or kind, origin or kind))
+    inner = inner[:1] * len(value) if origin is Sequence or inner[-1] is Ellipsis else inner
+    return len(inner) == len(value) and all(map(_is_of, value, inner))
 
 
 def wrapped(angles: Array) -> Array:

@@ -240,8 +240,7 @@ def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
     for leg in mechanism.legs:
         for point in leg.points:
             sharing, first = points.setdefault(point.name, (leg, point))
-            placement = point.placement
-            judged = sharing is leg and first is point
+            placement, judged = point.placement, sharing is leg and first is point
             if not judged and (first.placement != placement or placement.parameter_units):
                 yield (
                     f"{sharing.name} and {leg.name} share the platform point {point.name!r}, so it "

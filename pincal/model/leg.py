@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.model.checks import counted, listed, must_be, number_of, one_line
+from pincal.model.checks import array_of, check_kinds, counted, listed, number_of, one_line
 from pincal.model.consistency import check_leg, identifiers
 from pincal.model.joint import Closing, End, Joint
 from pincal.model.sensor import Sensor
@@ -55,6 +55,7 @@ class Leg:
     """Whether the joints that move no end are fixed already; other parameter values free none."""
 
     def __post_init__(self) -> None:
+        check_kinds(vars(self), Leg, MechanismError)
         check_leg(self)
         if not self.settled and (idle := self._idle()):
             joints = tuple(
@@ -354,20 +355,13 @@ class Leg:
         """
         old = self.nominal_by_name
         if not isinstance(values, Mapping):
-            must_be(values, (Sequence, np.ndarray), f"parameters of {self.name}", MechanismError)
-            if len(values) != len(old):
-                raise MechanismError(
-                    f"{self.name} has {len(old)} parameters, got {len(values)} values"
-                )
-            values = dict(zip(old, values, strict=True))
+            numbers = array_of(values, (len(old),), self.name, MechanismError)
+            values = dict(zip(old, numbers.tolist(), strict=True))
         if unknown := sorted(set(values) - set(old)):
             raise MechanismError(
                 f"{self.name} has no parameter {unknown[0]!r}; it has {', '.join(old)}"
             )
-        new = old | {
-            name: number_of(value, f"{self.name}.{name}", MechanismError)
-            for name, value in values.items()
-        }
+        new = old | {k: number_of(v, f"{self.name}.{k}", MechanismError) for k, v in values.items()}
         if new == old:
             return self
 

@@ -18,8 +18,7 @@ from pincal.model.setup import Setup
 from pincal.option import option
 from pincal.types import Array, Index, Mask
 
-EVERY_LEG = "all"
-VERIFY = "verify"
+EVERY_LEG, VERIFY = "all", "verify"
 SMALLEST_SIGMA = 1e-50
 """Smallest standard deviation, [m] or [rad], whose weights do not overflow; 0 means exact."""
 _ROWS, _READ = ("N", "dof"), ("N", "n_readings")

@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MechanismError
-from pincal.model.checks import choice_of, counted, must_be, one_line
+from pincal.model.checks import check_kinds, choice_of, counted, must_be, one_line
 from pincal.model.consistency import check_mechanism
 from pincal.model.leg import Leg
 from pincal.model.parameter import Parameter, Parameters, labels_of
@@ -41,6 +41,7 @@ class Mechanism:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", labels_of(self.labels, self.name))
+        check_kinds(vars(self), Mechanism, MechanismError)
         check_mechanism(self)
 
     def __repr__(self) -> str:
@@ -187,8 +188,7 @@ class Mechanism:
         Raises:
             MechanismError: an unknown leg or parameter, a wrong number of values, or a non-number.
         """
-        new: dict[str, Any] = {}
-        by_id: dict[str, Any] = {}
+        new, by_id = dict[str, Any](), dict[str, Any]()
         for key, value in must_be(values, Mapping, "parameters", MechanismError).items():
             if key in self.leg_names or not ("." in str(key) or isinstance(value, Real)):
                 new[self.leg(key).name] = value

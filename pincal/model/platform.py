@@ -193,8 +193,7 @@ class Platform:
 
     def from_matrices(self, matrices: Array) -> Array:
         """Return the coordinates of homogeneous matrices, shape (N, 4, 4) to (N, dof)."""
-        columns = list(matrices[:, : self.lengths, 3].T)
-        R = matrices[:, :3, :3]
+        columns, R = list(matrices[:, : self.lengths, 3].T), matrices[:, :3, :3]
         if self.turns == 1:
             j, k = self._across
             columns.append(np.arctan2(R[:, k, j], R[:, j, j]))
@@ -244,8 +243,7 @@ class Platform:
     def twists_between(self, first: Array, second: Array) -> Array:
         """Return the twists that move the first poses to the second, (N, dof): see ``moved``."""
         if self.turns < 3:
-            turn = [unit == "rad" for unit in self.units]
-            twists = second - first
+            turn, twists = [unit == "rad" for unit in self.units], second - first
             twists[:, turn] = wrapped(twists[:, turn])
             return twists
         a, b = self.transforms(first), self.transforms(second)
@@ -270,8 +268,7 @@ def _own_twist(kind: str, twist: Sequence[str]) -> tuple[str, ...]:
         raise MechanismError(f"platform kind {kind!r}: expected 1 to 64 printable characters")
     label = f"freedoms of a {kind!r} platform"
     rows = names_of(twist, len(twist), label, MechanismError)
-    lengths = tuple(name for name in rows if not name.startswith("r"))
-    expected = ""
+    lengths, expected = tuple(name for name in rows if not name.startswith("r")), ""
     if rows != tuple(name for name in TWIST if name in rows):
         expected = f"expected some of {', '.join(TWIST)}, in this order"
     elif lengths != TWIST[: len(lengths)]:

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.model.checks import check_sizes, listed, must_be, named_points, number_of, set_point
+from pincal.model.checks import check_kinds, check_sizes, listed, named_points, number_of, set_point
 from pincal.model.parameter import Parameter
 from pincal.types import Array, Point
 
@@ -87,7 +87,7 @@ class Distance:
     def __post_init__(self) -> None:
         if self.point is not None:
             set_point(self, "point", "point of a distance", MeasurementError)
-        must_be(self.target, str, "target of a distance", MeasurementError)
+        check_kinds(vars(self), Distance, MeasurementError)
         check_sizes(self, ("noise",) * (self.noise is not None), "distance's", MeasurementError)
 
     def relation(self, name: str, _space: int) -> Relation:
@@ -137,8 +137,7 @@ class Contact:
     def __post_init__(self) -> None:
         error, radius = MeasurementError, self.radius
         object.__setattr__(self, "points", named_points(self.points, "a contact", error))
-        must_be(self.target, str, "target of a contact", error)
-        must_be(self.gauge, bool, "gauge of a contact", error)
+        check_kinds(vars(self), Contact, error)
         check_sizes(self, ["tolerance", *["noise"] * (self.noise is not None)], "contact's", error)
         if self.axis is not None:
             set_point(self, "axis", "axis of a contact", error)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.model.checks import LARGEST
+from pincal.model.checks import LARGEST, check_kinds
 from pincal.model.terms import Term
 from pincal.types import Array, Index
 
@@ -160,8 +160,7 @@ def _placed(
     """Return terms with their indices; the columns are those of the owners, then influences."""
     columns, names, placed = [*owners, *leg.influences], list(parameters), []
     for target, term in terms:
-        column = columns.index(term.column(owners[target]) or owners[target])
-        name = term.parameter
+        column, name = columns.index(term.column(owners[target]) or owners[target]), term.parameter
         placed.append(PlacedTerm(term, target, column, names.index(name), parameters[name]))
     return tuple(placed)
 
@@ -193,6 +192,7 @@ class Sensor:
     """Encoder counts per rad or m of the reading, above 0; None if it is not read in counts."""
 
     def __post_init__(self) -> None:
+        check_kinds(vars(self), Sensor, MechanismError)
         counts = self.counts_per_unit
         if counts is not None and not 1.0 / LARGEST <= counts <= LARGEST:
             raise MechanismError(

@@ -15,7 +15,7 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MeasurementError
-from pincal.model.checks import check_sizes, choice_of, listed, must_be, one_line, set_point
+from pincal.model.checks import check_kinds, check_sizes, choice_of, listed, one_line, set_point
 from pincal.model.consistency import RESERVED
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter
@@ -86,7 +86,7 @@ class Target:
 
     def __post_init__(self) -> None:
         set_point(self, "offset", "offset of a target", MeasurementError)
-        must_be(self.unknown, bool, "unknown of a target", MeasurementError)
+        check_kinds(vars(self), Target, MeasurementError)
 
 
 @dataclass(frozen=True)
@@ -116,29 +116,18 @@ class Setup:
     """Standard uncertainties of systematic errors."""
 
     def __post_init__(self) -> None:
-        must_be(self.unknown_frame, bool, "unknown_frame", MeasurementError)
-        groups = (("targets", Target), ("distances", Distance), ("contacts", Contact))
-        for group, kind in groups:
-            named = must_be(getattr(self, group), Mapping, group, MeasurementError)
-            for name, entry in named.items():
-                must_be(name, str, f"a name in {group}", MeasurementError)
-                must_be(entry, kind, f"{group}, {name!r}", MeasurementError)
+        check_kinds(vars(self), Setup, MeasurementError)
         choice_of(self.mark, {ORIGIN: 0, **self.targets}, "mark", MeasurementError)
         object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
         for relation in self.relations(3):
             label = f"target to which {relation.name!r} is measured"
             choice_of(relation.target, self.targets, label, MeasurementError)
-        must_be(self.corners, (str, type(None)), "corners", MeasurementError)
-        must_be(self.tracker, (Tracker, type(None)), "tracker", MeasurementError)
-        must_be(self.systematic, Systematic, "systematic", MeasurementError)
-        devices = must_be(self.instruments, Iterable, "instruments", MeasurementError)
-        object.__setattr__(self, "instruments", tuple(devices))
+        object.__setattr__(self, "instruments", tuple(self.instruments))
         names = {"tracker", "target", *self.targets}
         if shared := names & {*self.contacts, *self.touched}:
             raise MeasurementError(f"{min(shared)!r} is a contact and a target; rename one of them")
         names |= {*self.contacts, *self.touched}
         for instrument in self.instruments:
-            must_be(instrument, Instrument, "an instrument", MeasurementError)
             if fault := fault_of(instrument, names):
                 raise MeasurementError(fault)
             names.add(instrument.name)

@@ -15,11 +15,10 @@ from typing import Literal
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.model.checks import array_of, check_sizes, count_of, number_of, set_point
+from pincal.model.checks import array_of, check_kinds, check_sizes, count_of, number_of, set_point
 from pincal.types import Array, Point
 
-APPROACH = "approach"
-LOAD = "load"
+APPROACH, LOAD = "approach", "load"
 OF_JOINTS = (APPROACH, LOAD)
 """Influences that each joint has for itself, computed from the rows where no column gives them; a
 length or angle is a joint too, and has a load."""
@@ -40,8 +39,7 @@ class Harmonic:
     def __post_init__(self) -> None:
         _check("a harmonic's order", self.order, positive=True)
         _check("a harmonic's period", self.period, positive=True)
-        if self.phase not in ("sine", "cosine"):
-            raise MechanismError(f"a harmonic's phase is {self.phase!r}; expected sine or cosine")
+        check_kinds(vars(self), Harmonic, MechanismError)
 
     @property
     def rate(self) -> float:
@@ -188,8 +186,7 @@ class Cables:
     """Largest tension, [N]."""
 
     def __post_init__(self) -> None:
-        limits = self.least, self.most
-        least, most = array_of(limits, (2,), "limits of tensions [N]", MechanismError)
+        least, most = array_of((self.least, self.most), (2,), "tensions [N]", MechanismError)
         if not 0.0 <= least < most:
             raise MechanismError(
                 f"limits of tensions are {self.least!r} and {self.most!r} [N]; expected 'least' of "

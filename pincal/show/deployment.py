@@ -16,7 +16,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import RESULT, load_result
 from pincal.design.platform_error import sizes
 from pincal.design.simulate import platform_errors
-from pincal.errors import MeasurementError, MechanismError
+from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.mechanism_folders import as_mechanism
 from pincal.files.output import writing
 from pincal.files.table import write_table
@@ -25,7 +25,7 @@ from pincal.formats.data_sheet import deltakins, genhexkins, geometry_sheet
 from pincal.formats.deployed import Deployed, c_header, python_file
 from pincal.kinematics.configurations import command, home_of
 from pincal.model import Mechanism, Plan, Setup
-from pincal.model.checks import count_of
+from pincal.model.checks import check_kinds, count_of
 from pincal.option import option, option_of
 from pincal.types import Array
 from pincal.words.numbers import Units, amount
@@ -101,13 +101,13 @@ def deploy(
         ...     sorted(path.name for path in pathlib.Path(folder, "controller").iterdir())
         ['commanding.md', 'geometry.csv', 'kinematics.py', 'machine_5r.h']
     """
+    check_kinds(locals(), deploy, FileError)
     if isinstance(machine, str | Path) and (Path(machine) / RESULT).is_file():
         machine = load_result(machine)
     result = machine if isinstance(machine, CalibrationResult) else None
     if result is not None and not result.converged:
         raise MeasurementError("the fit did not converge, so there is no machine to deploy")
-    options = GridOptions(**correction)
-    frames = () if result is None else result.measured_frames
+    options, frames = GridOptions(**correction), () if result is None else result.measured_frames
     deployed = Deployed(as_mechanism(machine) if result is None else result.identified, *frames)
     misses: tuple[str, ...] = ()
     if options.grid:

@@ -19,7 +19,7 @@ from pincal.errors import MechanismError, SymmetryError
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
 from pincal.model import LOAD, Joint, Leg, Mechanism, Placement, Platform, Sensor
-from pincal.model.checks import ROUNDING
+from pincal.model.checks import ROUNDING, check_kinds
 from pincal.model.placement import Coordinate, Value, floats, placement_of
 from pincal.symmetry.elements import Element, isometry, wrapped
 from pincal.types import Array
@@ -253,6 +253,7 @@ def generate(
         MechanismError: a leg does not close at the home pose.
         SymmetryError: parameters of the leg have terms.
     """
+    check_kinds(locals(), generate, MechanismError)
     closed = at_home(leg, platform)
 
     def numbered(number: int, joint: Joint) -> Joint:

@@ -39,8 +39,7 @@ def applied(G: Array, points: Array) -> Array:
 
 def same(first: Array, second: Array, within: float = SAME) -> bool:
     """Return whether two isometries are equal within a tolerance relative to their size."""
-    difference = np.abs(first - second)
-    size = max(1.0, float(np.abs(first[:3, 3]).max()))
+    difference, size = np.abs(first - second), max(1.0, float(np.abs(first[:3, 3]).max()))
     return bool(difference[:3, :3].max() <= within and difference[:3, 3].max() <= within * size)
 
 

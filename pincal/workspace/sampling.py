@@ -236,7 +236,7 @@ def sample_workspace(
     must_be(progress, Callable, "progress", WorkspaceError)
     if not isinstance(seed, int | np.integer):
         seed = int(generator_of(seed, WorkspaceError).integers(2**63))
-    rng = generator_of(seed, WorkspaceError)
+    rng, least = generator_of(seed, WorkspaceError), as_margins(least)
     low, high, connected, rng.bit_generator.state = _explore(mechanism, int(seed), least)
     accepted = np.empty((0, mechanism.platform.dof))
     for _ in range(_MOST * (_batch(mechanism) + count) // _PART):
