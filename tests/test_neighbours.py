@@ -379,6 +379,24 @@ def test_a_hexapod_carried_by_its_first_leg(tmp_path: Path) -> None:
     assert none.gap.shape == (0, 3)
 
 
+def test_a_way_from_home_may_end_in_another_mode(tmp_path: Path) -> None:
+    """A hexapod with universal joints of 1 mm goes wherever the one with crossing axes goes.
+
+    Upside down its legs have passed over the axes, where a straight way from home flips them.
+    """
+    plain = read(hexapod(tmp_path))
+    offset = plain.with_parameters({name: {"u_y_z": 1e-3} for name in plain.leg_names})
+    rng = np.random.default_rng(3)
+    poses = np.column_stack(
+        (rng.normal(plain.platform.home[:3], 0.2, (200, 3)), rng.uniform(-np.pi, np.pi, (200, 3)))
+    )
+    solution = pincal.inverse(plain, poses)
+    inside = [np.cos(solution.joints[leg.name][:, 1]) > 0.4 for leg in plain.legs]
+    reached = solution.reached & np.stack(inside, axis=1)
+    assert reached.sum() > 500
+    assert pincal.inverse(offset, poses).reached[reached].all()
+
+
 def struts(folder: Path) -> Path:
     """Write a hexapod as MuJoCo's users draw it: struts with a ball at either end, one slide."""
     pairs = list(zip(*hexapod_points(), strict=True))

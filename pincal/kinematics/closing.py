@@ -174,7 +174,8 @@ def close(
         possible = possible | joints[:, n:].any(axis=1)  # starts ignore deformations
     closure = evaluate(legs, joints, matrices)
     gap = _relative_gap(legs, closure)
-    closed, exact = possible & (gap <= _CLOSED), possible & (gap <= _EXACT)
+    in_mode = possible & in_home_modes(legs, closure)  # ways may end beyond a singularity
+    closed, exact = in_mode & (gap <= _CLOSED), in_mode & (gap <= _EXACT)
     if not exact.all():
         step = _newton_step(legs[0], closure)
         stays = exact | (closed & ~(np.abs(step) <= _SMALL).all(axis=1))  # singular
@@ -192,12 +193,12 @@ def close(
         joints[turning] = centre[turning] + wrapped(joints[turning] - centre[turning])
         settled = np.where(closed[:, None], joints, legs[0].deformed(homes))
         closure = evaluate(legs, settled, matrices)
+        closed &= in_home_modes(legs, closure)
     joints = joints[:, :n]
     if near is None:
         for leg, rows in zip(legs, parted(joints, len(legs)), strict=True):
             _turn_within_limits(leg, rows)
-    reached = closed & in_home_modes(legs, closure)
-    return ClosedLegs(np.where(reached[:, None], joints, np.nan), reached, closure)
+    return ClosedLegs(np.where(closed[:, None], joints, np.nan), closed, closure)
 
 
 def _homes(legs: Sequence[LegClosure], rows: int) -> Array:
