@@ -113,7 +113,7 @@ class Options:
         (), "Hold a parameter: l of every leg, leg_1.l of one; leg_1.*, A_*.", metavar="NAME"
     )
     tied: tuple[str, ...] = option((), "One value for all legs.", metavar="NAME")
-    priors: Mapping[str, float] = option(
+    priors: Mapping[str, Any] = option(
         dict,
         "Nominal value known to ± SIGMA [m, rad or 1], or as 0.5mm.",
         metavar="NAME=SIGMA",
