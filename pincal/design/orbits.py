@@ -50,7 +50,7 @@ def _originals(platform: Platform, poses: Poses, readings: Array | None = None) 
         parts[place] = part / max(np.ptp(part, axis=0).max(), ALIKE * size) if size else part
     places = np.concatenate(parts, axis=1).round(7) + 0.0  # most copies are then equal
     places, row = np.unique(places, axis=0, return_inverse=True)
-    pairs = KDTree(places).query_pairs(ALIKE, p=np.inf, output_type="ndarray")
+    pairs = KDTree(places, leafsize=30).query_pairs(ALIKE, p=np.inf, output_type="ndarray")
     adjacency = coo_array((np.ones(len(pairs)), pairs.T), (len(places), len(places)))
     group = connected_components(adjacency, directed=False)[1][row]
     _, first, number = np.unique(group, return_index=True, return_inverse=True)

@@ -18,7 +18,7 @@ from pincal.kinematics.batches import cross, least_squares, parted, product, rep
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import Closure, LegClosure, each, evaluate, joint_range
 from pincal.model import Leg, Platform
-from pincal.model.checks import ROUNDING, wrapped
+from pincal.model.checks import EXACT, ROUNDING, wrapped
 from pincal.model.sensor import SensorLaw, law_of_sensors
 from pincal.types import Array, Mask
 
@@ -67,15 +67,16 @@ def _followed(closure: LegClosure, matrices: Array, active: Array | None = None)
     twists = platform.twists_between(homes, platform.from_matrices(matrices))
     if active is None:
         active, free = joints[:, leg.active], list(range(len(leg.moving)))
-    ways = active - leg.home[leg.active]
     for share in np.repeat((1.0, 0.0), _WAY) / _WAY:  # the last steps let joints settle
         poses = platform.displaced(poses, share * twists)
-        joints[:, leg.active] += share * ways
+        joints[:, leg.active] += share * (active - leg.home[leg.active])
         closed = closure.evaluate(closure.deformed(joints), poses)
         step = -least_squares(closed.by_joints[:, :, free], closed.gap[:, :, None])[:, :, 0]
         step = np.nan_to_num(step / leg.scales[free], posinf=0.0, neginf=0.0)
         longest = np.abs(step).max(axis=1, keepdims=True)
         joints[:, free] += step * leg.scales[free] * _ABOUT / np.maximum(longest, _ABOUT)
+        if not share and longest.max(initial=0.0) <= EXACT:
+            break
     return joints
 
 

@@ -218,8 +218,7 @@ def _starts(mechanism: Mechanism) -> tuple[Array, KDTree]:
     joints = by_leg(groups, lambda legs: np.where(legs.reached[:, None], legs.joints, np.nan))
     pairs = zip(legs, joints, strict=True)
     readings = [sensor_law(leg).reading(of_leg[:, leg.leg.active]) for leg, of_leg in pairs]
-    square = mechanism.constraints == platform.dof  # else readings may contradict each other
-    reached = np.isfinite(np.hstack(readings)).all(axis=1) & square
+    reached = np.isfinite(np.hstack(readings)).all(axis=1) & (mechanism.constraints == platform.dof)
     return poses[reached], KDTree(np.hstack(readings)[reached])
 
 
