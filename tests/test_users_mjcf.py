@@ -75,6 +75,18 @@ def delta(equality: str, *, carried: bool) -> str:
     ).replace("SITES", sites)
 
 
+def welded(weld: str) -> str:
+    """Return two planar legs of three joints, the plate of one welded to the other's last link."""
+    text = five_bar(f"<weld {weld}/>").replace(
+        '<site name="sa" pos="0.2 0.2 0"/>',
+        '<body name="plate" pos="0.2 0.2 0"><geom size="0.01"/><joint name="m3"/></body>',
+    )
+    text = text.replace("<actuator>", '<actuator><motor joint="m3"/>')
+    turned = '<body name="b3" pos="-0.2 0.2 0" euler="0 0 0.3"><geom size="0.01"/><joint/></body>'
+    return text.replace('<site name="sb" pos="-0.2 0.2 0"/>', turned)
+
+
+RELATIVE = f'relpose="0 0 0 {np.cos(0.15)} 0 0 {np.sin(0.15)}"'
 BODIES = '<connect body1="{first}" body2="{second}" anchor="{at}"/>\n'
 SITES = '<connect site1="e{number}" site2="p{number}"/>\n'
 FILES: dict[str, Callable[[], str]] = {
@@ -89,6 +101,8 @@ FILES: dict[str, Callable[[], str]] = {
     "delta, sites": lambda: delta(SITES, carried=False),
     "delta, bodies, carried": lambda: delta(BODIES, carried=True),
     "delta, sites, carried": lambda: delta(SITES, carried=True),
+    "weld as drawn": lambda: welded('body1="plate" body2="b3"'),
+    "weld of a pose": lambda: welded(f'body1="plate" body2="b3" {RELATIVE}'),
     **{
         name: lambda name=name: mjcf(MACHINES[name]())  # type: ignore[misc]
         for name in ("four_bar", "ankle", "tricept", "hexapod", "quattro", "upu")
@@ -143,7 +157,7 @@ def test_calibrated_loops_go_into_the_users_mjcf(name: str, tmp_path: Path) -> N
     """Read again, the file is the calibrated machine, and only numbers of it have changed."""
     file = tmp_path / "robot.xml"
     file.write_text(FILES[name]())
-    options = ("--platform", "plate") if "delta" in name else ()
+    options = ("--platform", "plate") if "delta" in name or "weld" in name else ()
     mechanism = imported(file, tmp_path / "nominal", *options)
     assert calibrated_mjcf(file, mechanism) == file.read_bytes()
     true = pincal.disturb(mechanism, 1e-3, seed=0)
@@ -302,3 +316,7 @@ def test_what_numbers_cannot_hold_is_refused(tmp_path: Path) -> None:
     )
     imported(file, tmp_path / "bar_2")
     assert "let it join two sites" in run("export", tmp_path / "bar_2", *export[2:]).trouble
+    file.write_text(welded(f'body1="plate" body2="b3" anchor="0.1 0 0" {RELATIVE}'))
+    bar = imported(file, tmp_path / "bar_3", "--platform", "plate")
+    pincal.disturb(bar, 1e-3, seed=0).save(tmp_path / "true_3")
+    assert "as it is drawn open" in run("export", tmp_path / "true_3", *export[2:]).trouble
