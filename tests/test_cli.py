@@ -679,6 +679,12 @@ def test_calibrate_spares_a_file_in_the_results_place(work: Path) -> None:
     assert Path("taken").read_text() == "keep"
 
 
+def test_demo_refuses_a_link_that_leads_to_itself(work: Path) -> None:
+    """It is said in words, before anything is computed."""
+    (work / "loop").symlink_to("loop")
+    assert "is a link that leads to itself" in run("demo", "5R", "-o", work / "loop").trouble
+
+
 def test_demo_spares_a_file_in_its_folders_place(work: Path) -> None:
     """Demo's folder replaces no file, even with --force, and hides no mechanism: it is refused."""
     Path("taken").write_text("keep")

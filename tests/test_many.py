@@ -82,12 +82,13 @@ def test_texts_that_are_not_utf8_are_kept_in_a_table(tmp_path: Path) -> None:
     assert file.read()["file"].tolist() == [name]
 
 
-def test_a_pipe_among_the_tables_of_a_line_is_not_waited_for(tmp_path: Path) -> None:
-    """It is left out and named, as a pipe that nobody writes to never ends."""
+def test_pipes_and_links_in_circles_among_the_tables_of_a_line_are_left_out(tmp_path: Path) -> None:
+    """They are named; a pipe that nobody writes to never ends."""
     os.mkfifo(tmp_path / "machine.csv")
+    (tmp_path / "loop").symlink_to("loop")
     refused = run("batch", "5R", tmp_path, "-o", tmp_path / "table.csv")
     assert refused.code == 2
-    assert "skipped, since it is no .csv or .xlsx: machine.csv" in refused.err
+    assert "skipped, since it is no .csv or .xlsx: loop, machine.csv" in refused.err
 
 
 def test_what_is_wrong_with_a_file_is_said_of_it(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
+from os.path import realpath
 from pathlib import Path
 from typing import Annotated
 
@@ -145,7 +146,7 @@ def batch(
     code 1 if a machine has no result, or a bad one.
     """
     mechanism = load_mechanism(mech)
-    in_folder = sorted(path for path in folder.glob("[!.]*") if path.resolve() != output.resolve())
+    in_folder = sorted(p for p in folder.glob("[!.]*") if realpath(p) != realpath(output))
     files = [p for p in in_folder if p.suffix.lower() in (".csv", ".xlsx") and not p.is_fifo()]
     if skipped := [path.name for path in in_folder if not (path.is_dir() or path in files)]:
         warn(f"skipped, since it is no .csv or .xlsx: {listed(skipped)}")

@@ -298,8 +298,7 @@ def _asked(session: Session, ask: Ask | None, off: int) -> tuple[int, str]:
         return row, input("enter it again, or u: undo it, k: keep it > ")
     if ask and off >= _OFF:
         fail(1, f"the last {off} rows were off, but the accuracy is not reached")
-    points = set_points(session, row)
-    falls = f"; errors fall by {percent(gain)}" * (gain > 0.0)
+    points, falls = set_points(session, row), f"; errors fall by {percent(gain)}" * (gain > 0.0)
     say(f"\npose {row + 1} of {len(session.plan)}{falls}. Drive to")
     say("  " + ", ".join(f"{head} {value:.7g}" for head, value in points.items()))
     say(f"  then {', '.join(session.observed or session.columns)}:")

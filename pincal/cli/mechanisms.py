@@ -307,7 +307,7 @@ def demo(
     mechanism = pincal.load_mechanism(mech)
     if output is None:
         output = Path(tempfile.mkdtemp(prefix="pincal-demo-"))
-    elif output.resolve() == Path(mech).resolve():
+    elif output.absolute() == Path(mech).absolute():
         raise FileError(f"{output} would hide the mechanism of that name; name another folder")
     elif not output.is_dir():
         refuse_existing(output, force=False).mkdir()
