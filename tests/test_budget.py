@@ -22,7 +22,7 @@ LINES = {
     "files": 3_256,
     "formats": 4_268,
     "instruments": 1_544,
-    "kinematics": 3_441,
+    "kinematics": 3_443,
     "model": 3_556,
     "show": 3_907,
     "symmetry": 1_190,

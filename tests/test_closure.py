@@ -48,6 +48,29 @@ def test_passive_joints_come_nearest_out_of_reach(name: str) -> None:
         assert nearer.mean() <= 0.05, name
 
 
+@pytest.mark.parametrize("angle", [0.03, 0.01, 0.003])
+def test_passive_joints_come_nearest_beside_a_gimbal_lock(angle: float) -> None:
+    """A strut's end misses a point by millimetres: |c| is | |AB| - L |, and no joint turns wildly.
+
+    The universal joint's second axis is an angle from where its first one turns nothing.
+    """
+    mechanism, rng = pincal.load_mechanism("6UPS"), np.random.default_rng(0)
+    leg, closure = mechanism.legs[0], LegClosure(mechanism.legs[0], mechanism.platform)
+    joints = np.tile(leg.home, (500, 1))
+    joints[:, 0] = rng.uniform(-2.0, 2.0, 500)
+    joints[:, 1] = np.pi / 2 - angle
+    frames = leg.link_placements(joints)
+    A, tip = frames[:, 0, :3, 3], frames[:, -1, :3, 3]
+    B = tip + rng.normal(0.0, 3e-3 * leg.size, tip.shape)
+    matrices = np.tile(np.eye(4), (500, 1, 1))
+    matrices[:, :3, 3] = B - np.array(leg.point.placement.xyz)
+    readings = pincal.inverse(mechanism, [mechanism.platform.home]).readings[:, :1].repeat(500, 0)
+    nearest, ends = nearest_closure((closure,), matrices, readings, joints)
+    miss = np.abs(np.linalg.norm(B - A, axis=1) - np.linalg.norm(tip - A, axis=1))
+    np.testing.assert_allclose(np.linalg.norm(nearest.gap, axis=1), miss, atol=1e-9 * leg.size)
+    assert np.abs(ends - joints).max() < 2 * np.pi
+
+
 @pytest.mark.parametrize("leg_index", [0, 1])
 def test_closure_derivatives(mechanism: pincal.Mechanism, leg_index: int) -> None:
     """Every derivative of the closure equals central differences: parameters, joints, pose."""

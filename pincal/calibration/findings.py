@@ -165,7 +165,7 @@ def _harmful_noise(moments: Moments) -> float:
     W = by_rows[:, by_rows.any(axis=0)]
     growth = np.einsum("in,ij,jn->n", W, P[READINGS], W) / (W**2).sum(axis=0)
     harmful = (_WIDER**2 - 1.0) / max(growth.max(initial=0.0), 1e-300)
-    shown = harmful * np.sqrt(moments.F[READINGS, READINGS] / 2.0) >= _SHOWN
+    shown = harmful * np.sqrt(moments.F[READINGS, READINGS].clip(0.0) / 2.0) >= _SHOWN
     return np.inf if shown else float(np.sqrt(harmful))
 
 

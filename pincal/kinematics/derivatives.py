@@ -22,6 +22,7 @@ from pincal.types import Array, Mask
 _STEPS = 60  # largest number of Newton steps
 _SMALL = 1e-8  # last step; Nᵀ c is off by its square
 _LAST = 4  # share of the poses, its inverse, below which those that still move go on alone
+_LONGEST = 0.5  # longest step, [rad] or of the leg's size: it has no bound beside a gimbal lock
 _FAR = 1e-2  # gap over a leg's size, above which its curvature counts
 
 
@@ -47,8 +48,9 @@ def nearest_closure(
             far = lengths(closed.gap) > far_gaps[rows]
             if far.any():
                 step[far] = _curved_step(closed, far)
-        positions[rows[:, None], leg.passive] += step
-        large = (np.abs(step / scales[rows]) > _SMALL).any(axis=1)
+        longest = np.abs(step / scales[rows]).max(axis=1, initial=0.0)
+        positions[rows[:, None], leg.passive] += step * (_LONGEST / longest.clip(_LONGEST))[:, None]
+        large = longest > _SMALL
         last = large.reshape(moving.shape).any(axis=0)
         if not last.any():
             break
