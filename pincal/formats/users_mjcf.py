@@ -14,11 +14,11 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
-from xml.parsers import expat
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import lazy_loader
 import numpy as np
+from lxml import etree
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
@@ -27,7 +27,7 @@ from pincal.files.tree import Edge, Tree, route
 from pincal.formats.closed import Drawing, drawing_of, slack_of
 from pincal.formats.limbs import onto_normal
 from pincal.formats.mjcf import compiled, names_of, pose_of, read_mjcf
-from pincal.formats.users_urdf import TAG, plain_bytes, with_numbers
+from pincal.formats.users_urdf import plain_bytes, with_numbers, with_tags
 from pincal.kinematics.assembly import assembled
 from pincal.model import Joint, Leg, Mechanism, Platform, placement_of
 from pincal.model.checks import ALIKE, EXACT, ROUNDING
@@ -67,7 +67,7 @@ def calibrated_mjcf(original: str | Path, mechanism: Mechanism) -> bytes:
     written.bodies(displaced.edges, displaced.places())
     if not mechanism.legs[0].is_arm:
         written.loops(displaced.loops())
-    changed = _patched(path, text, model, written.numbers)
+    changed = _patched(path, model, written.numbers)
     read = compiled(path, changed)
     for wanted, got in ((getattr(model, name), getattr(read, name)) for name in _GEOMETRY):
         if wanted.shape == got.shape and wanted.shape[1] == 4:  # q and -q are one orientation
@@ -323,11 +323,8 @@ class _Written:
             axes = {edges[link].joint.name: edges[link].joint.axis for link in chain}
             for i in np.flatnonzero(model.jnt_bodyid == body).tolist():
                 if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_FREE:
-                    series = [
-                        key
-                        for key in frames
-                        if re.sub(f"^{re.escape(joints[i])}(_[xyz])?$", "", key) == ""
-                    ]
+                    axes_of_joint = re.compile(f"{re.escape(joints[i])}(_[xyz])?")
+                    series = list(filter(axes_of_joint.fullmatch, frames))
                     local = np.linalg.inv(T) @ [frames[key] for key in series]
                     self.joint(i, joints[i], local, axes.get(joints[i]))
         for i in range(model.nsite):
@@ -367,54 +364,31 @@ class _Written:
                 self.change(("loop", i), "relpose", data[3:10], value)
 
 
-def _settings(path: Path) -> dict[str, str]:
-    """Return how a file writes angles."""
-    settings = {"angle": "degree", "eulerseq": "xyz"}
-    for element in read_xml(path, "mujoco").iterfind(".//compiler"):
-        settings |= {key: str(element.get(key, value)) for key, value in settings.items()}
-    return settings
-
-
-def _patched(path: Path, text: bytes, model: mujoco.MjModel, numbers: Numbers) -> bytes:
+def _patched(path: Path, model: mujoco.MjModel, numbers: Numbers) -> bytes:
     """Return a file's bytes with new numbers of its elements, counted as MuJoCo counts them."""
-    settings = _settings(path)
-    left = {
-        kind: [np.flatnonzero(bodies == body).tolist() for body in range(model.nbody)]
-        for kind, bodies in (("site", model.site_bodyid), ("joint", model.jnt_bodyid))
-    }
-    tags, stack, bodies = list[tuple[int, bytes, bytes]](), list[str](), [0]
-    counts, parser = Counter[str](), expat.ParserCreate()
+    root, settings = read_xml(path, "mujoco"), {"angle": "degree", "eulerseq": "xyz"}
+    for element in root.iterfind(".//compiler"):
+        settings |= {key: str(element.get(key, value)) for key, value in settings.items()}
+    loops, bodies = map(root.iterfind, (".//equality/*", ".//worldbody//body"))
+    keys: dict[Any, tuple[str, int]] = {loop: ("loop", i) for i, loop in enumerate(loops)}
+    keys |= {body: ("body", i) for i, body in enumerate(bodies, 1)}
+    for kind, carriers in (("joint", model.jnt_bodyid), ("site", model.site_bodyid)):
+        counts = Counter[int]()
+        for element in root.iterfind(f".//worldbody//{kind}"):
+            body = keys.get(next(element.iterancestors("body"), None), ("body", 0))[1]
+            keys[element] = kind, int(np.searchsorted(carriers, body)) + counts[body]
+            counts[body] += 1
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        kind, index = tag.removeprefix("free"), -1
-        if stack[-1:] == ["equality"]:
-            kind, index = "loop", counts["loop"]
-        elif "worldbody" in stack and tag == "body":
-            index = counts["body"] + 1
-            bodies.append(index)
-        elif "worldbody" in stack and kind in left and bodies[-1] < model.nbody:
-            index = (left[kind][bodies[-1]] or [-1]).pop(0)
-        counts[kind] += 1
-        stack.append(tag)
-        if (kind, index) in numbers and (match := TAG.match(text, parser.CurrentByteIndex)):
-            new = _changed(match[0], attributes, numbers[kind, index], settings)
-            tags.append((match.start(), match[0], new))
+    def changed(element: etree._Element, tag: bytes) -> bytes:
+        new = numbers.get(keys.get(element, ("", 0)), {})
+        return _changed(tag, element.attrib, new, settings)
 
-    def end(tag: str) -> None:
-        stack.pop()
-        if tag == "body" and "worldbody" in stack:
-            bodies.pop()
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.Parse(text, True)
-    for begin, before, after in reversed(tags):
-        text = text[:begin] + after + text[begin + len(before) :]
-    return text
+    return with_tags(path, root, changed)
 
 
 def _changed(
     tag: bytes,
-    attributes: Mapping[str, str],
+    attributes: etree._Attrib,
     numbers: Mapping[str, Array],
     settings: Mapping[str, str],
 ) -> bytes:

@@ -15,13 +15,14 @@ applied to the frames that are fixed to the platform's link.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
-from xml.parsers import expat
+from typing import Any
 
 import numpy as np
+from lxml import etree
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
@@ -35,7 +36,11 @@ from pincal.model import Closing, Joint, Leg, Mechanism, Placement, placement_of
 from pincal.model.checks import ROUNDING, listed
 from pincal.types import Array
 
-TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")  # attributes may hold '>'
+_MARKUP = re.compile(  # start tags, whose attributes may hold '>', and all that is none
+    rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<[!/][^>]*>"
+    rb"|(?P<start><(?:[^>\"']|\"[^\"]*\"|'[^']*')*>)",
+    re.DOTALL,
+)
 Edges = Mapping[str, Edge]
 _TURNED = {"SPHERICAL": "xyz", "FIXED": "", "CARDAN": "xy"} | {
     f"UJOINT_{axes.upper()}": axes for axes in map("".join, permutations("xyz", 2))
@@ -278,30 +283,32 @@ def plain_bytes(path: Path) -> bytes:
     return text
 
 
+def with_tags(
+    path: Path, root: etree._Element, changed: Callable[[etree._Element, bytes], bytes]
+) -> bytes:
+    """Return a file's bytes after a change of its elements' start tags."""
+    elements = root.iter("*")
+    return _MARKUP.sub(
+        lambda found: changed(next(elements), found[0]) if found["start"] else found[0],
+        plain_bytes(path),
+    )
+
+
 def _rewritten(path: Path, origins: Mapping[str, Placement]) -> bytes:
     """Return a file's bytes with new origins of joints, by name."""
-    text = plain_bytes(path)
-    tags: dict[str, tuple[int, int]] = {}  # span of each origin's start tag, or place for a new one
-    stack: list[str] = []
-    parser = expat.ParserCreate()
+    root = read_xml(path, "robot")
+    joints: dict[Any, Placement | None] = {
+        joint: origins.get(str(joint.get("name"))) for joint in root.iterfind("joint")
+    }
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        begin, name = parser.CurrentByteIndex, attributes.get("name", "")
-        match = TAG.match(text, begin)
-        end = match.end() if match else begin
-        if tag == "joint" and len(stack) == 1 and name in origins:
-            tags[name] = (end, end)
-        elif tag == "origin" and len(stack) == 2 and stack[1] in tags:
-            tags[stack[1]] = (begin, end)
-        stack.append(name if tag == "joint" else "")
+    def changed(element: etree._Element, tag: bytes) -> bytes:
+        if element.tag == "origin" and (placement := joints.get(element.getparent())):
+            return _with_origin(tag, placement)
+        if (placement := joints.get(element)) and element.find("origin") is None:
+            return tag + _with_origin(b"<origin/>", placement)
+        return tag
 
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda _: stack.pop()
-    parser.Parse(text, True)
-    for name, (begin, end) in sorted(tags.items(), key=lambda item: item[1], reverse=True):
-        tag = text[begin:end] or b"<origin/>"
-        text = text[:begin] + _with_origin(tag, origins[name]) + text[end:]
-    return text
+    return with_tags(path, root, changed)
 
 
 def _with_origin(tag: bytes, placement: Placement) -> bytes:
