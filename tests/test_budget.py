@@ -20,7 +20,7 @@ LINES = {
     "design": 2_536,
     "estimation": 4_291,
     "files": 3_256,
-    "formats": 4_268,
+    "formats": 4_249,
     "instruments": 1_544,
     "kinematics": 3_443,
     "model": 3_556,
