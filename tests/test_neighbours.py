@@ -40,6 +40,7 @@ from pincal.kinematics.assembly import assembled, independent
 from pincal.kinematics.batches import cross
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import nearest_closure
 from pincal.model.placement import Coordinate
 
 FAMILIES = ("5R", "3RRR", "6UPS", "3RPS", "linear_delta", "4cable")
@@ -377,6 +378,24 @@ def test_a_hexapod_carried_by_its_first_leg(tmp_path: Path) -> None:
         np.testing.assert_array_equal(reach.holds(matrices), (length > 0.5) & (length < 1.6))
     none = closure.evaluate(np.empty((0, 3)), np.empty((0, 4, 4)))
     assert none.gap.shape == (0, 3)
+
+
+def test_readings_beside_a_gimbal_lock_close_legs_in_their_mode(tmp_path: Path) -> None:
+    """Exact readings of a hexapod with errors close all legs at their poses, without a start.
+
+    A way from home flipped universal joints where legs pass over their axes: the other mode closes
+    a nominal leg as well, but one with errors up to 2 mm off (32 of 2,400).
+    """
+    mechanism = read(hexapod(tmp_path))
+    truth = pincal.disturb(mechanism, 1e-3, 0)
+    poses = pincal.sample_workspace(mechanism, 400, 3)
+    solution = pincal.inverse(truth, poses)
+    assert solution.reached.all()
+    matrices = truth.platform.transforms(poses).as_matrix()
+    for leg, readings in zip(truth.legs, solution.readings.T, strict=True):
+        closure = LegClosure(leg, truth.platform)
+        nearest, _ = nearest_closure((closure,), matrices, readings[:, None])
+        np.testing.assert_allclose(nearest.gap, 0.0, atol=1e-12)
 
 
 def test_a_way_from_home_may_end_in_another_mode(tmp_path: Path) -> None:

@@ -136,6 +136,7 @@ def home_mode(leg: Leg, platform: Platform) -> float:
 _ATTEMPTS = 6
 _STEPS = 15  # largest number of Newton steps
 _SMALL = 1e-4  # step after which only rounding errors remain
+_SAME_DRIVES = 0.1  # difference of drives, [rad] or of the leg's size, that errors of legs cause
 _CLOSED = 1e-11  # gap of a closed leg, over its size
 _EXACT = 2e-15  # gap that rounding leaves after a closed form, over the leg's size
 
@@ -282,7 +283,7 @@ def started(
         near = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
     elif near is None and legs[0].leg.passive:  # readings select the branches
         drives = each(lambda leg, rows: sensor_law(leg).position(rows), legs, known)
-        near = each(_followed, legs, matrices, drives)
+        near = _in_mode(legs, matrices, each(_followed, legs, matrices, drives))
     start = np.zeros((len(matrices), len(legs[0].leg.moving))) if near is None else near
 
     def driven(leg: LegClosure, joints: Array, rows: Array) -> Array:
@@ -292,6 +293,19 @@ def started(
         return joints
 
     return each(driven, legs, start, known)
+
+
+def _in_mode(legs: Sequence[LegClosure], matrices: Array, joints: Array) -> Array:
+    """Return joints, in the home's working mode where that closes legs with the same drives.
+
+    A way from home may pass a singularity of passive joints alone, such as a gimbal lock.
+    """
+    bare = each(lambda leg, rows: leg.deformed(rows), legs, joints)
+    if in_home_modes(legs, evaluate(legs, bare, matrices)).all():
+        return joints
+    closed, active = close(legs, matrices).joints, legs[0].leg.active
+    off = np.abs(closed - joints)[:, active] / legs[0].leg.scales[active]
+    return np.where((off <= _SAME_DRIVES).all(axis=1, keepdims=True), closed, joints)
 
 
 def _at_home(leg: LegClosure) -> tuple[Array, Array]:

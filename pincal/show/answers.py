@@ -126,7 +126,8 @@ def _by(result: CalibrationResult, errors: WorkspaceErrors) -> str:
 
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
-    lines = [_noise_line(result), *check_lines(result), *_found_lines(result)]
+    lines = [_noise_line(result), *check_lines(result)]
+    lines += _found_lines(result, "points-left-out", "readings-exact")
     if result.outliers:
         lines.append(f"do not fit the others: {_rows(result.outliers)}")
     shown, tone = "No problems", "good"
@@ -205,6 +206,8 @@ def _limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str
     if not result.promises:
         return [f"no limit is stated: {unpromised(result)}"] if result.contradictions else []
     parts = [UNCOVERED[code] for code in errors.inside.uncovered]
+    exact = [remark.values for remark in result.findings if remark.code == "readings-exact"]
+    parts += [f"noise of readings above {amount(v['reading'], v['unit'])}" for v in exact]
     return [f"excluding {', '.join(parts)}"] if parts else []
 
 
@@ -214,13 +217,13 @@ def summary(
     """Return the lines and tables below the verdict, in a terminal and in Python."""
     if errors is None:
         return [*notes]
-    lines = [*rejected_lines(result), *_limit_lines(result, errors), *_found_lines(result)]
+    lines = [*rejected_lines(result), *_limit_lines(result, errors)]
+    lines += _found_lines(result, "points-left-out")
     return [*accuracy_table(result, errors), *lines, *notes]
 
 
-def _found_lines(result: CalibrationResult) -> list[str]:
-    """Return lines on points left out, exact readings and coordinates never measured."""
-    remarks = {"points-left-out", "readings-exact"}
+def _found_lines(result: CalibrationResult, *remarks: str) -> list[str]:
+    """Return lines on findings with some codes, and on coordinates that were never measured."""
     lines = [sentence(finding) for finding in result.findings if finding.code in remarks]
     data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
     missing = [bool(np.isnan(values).all()) for values in data.poses.T]
