@@ -21,9 +21,9 @@ from pincal.model import Joint, Leg, Mechanism, Placement, Platform, Sensor, pla
 from pincal.model.checks import check_kinds, listed
 from pincal.model.consistency import identifiers
 from pincal.model.placement import Coordinate
+from pincal.model.platform import TWIST
 from pincal.types import Array
 
-_AXES = ("x", "y", "z", "rx", "ry", "rz")
 _TOOL = "tool"
 #: End of the name of a joint that turns back what a ball's frame was turned.
 TURNED = "~"
@@ -98,7 +98,7 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         point=Joint(point, "fixed"),
         closes="frame",
     )
-    leg, free = displaced(leg, (*stems, _TOOL), _AXES), Platform.at_origin("spatial")
+    leg, free = displaced(leg, (*stems, _TOOL), TWIST), Platform.at_origin("spatial")
     home = free.from_matrices(LegClosure(leg, free).frame(leg.home[None]))[0]
     return Mechanism(name, Platform("spatial", tuple(home.tolist())), (leg,), description)
 
@@ -138,6 +138,12 @@ def displaced(
     ]
     point, further = ends[0].point or leg.point, tuple(ends[1:])
     return replace(leg, joints=joints, point=point, ends=further, parameters=tuple(parameters))
+
+
+def undisplaced(leg: Leg) -> Leg:
+    """Return a leg with zeros for all parameters of its placements."""
+    placed = (joint.placement.parameter_units for joint in (*leg.joints, *leg.points))
+    return leg.with_parameters({name: 0.0 for units in placed for name in units})
 
 
 def _stems(leg: Leg, stems: Sequence[str]) -> dict[str, str]:

@@ -21,6 +21,7 @@ from pincal.files.tree import Step, Tree, coupled
 from pincal.formats.arm import displaced
 from pincal.formats.limbs import (
     Limb,
+    axes_of,
     leg_of,
     limbs_of,
     onto_normal,
@@ -33,6 +34,7 @@ from pincal.kinematics.assembly import assembled, independent, opening
 from pincal.model import Joint, Leg, Mechanism, Platform, placement_of
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
 from pincal.model.consistency import identifiers
+from pincal.model.platform import TWIST
 from pincal.types import Array
 
 _log = logging.getLogger(__name__)
@@ -74,7 +76,6 @@ def _joints_moved(drawn: Sequence[Leg], mechanism: Mechanism, slack: float) -> I
 
 
 _FREEDOMS = {(2, 0): "point", (2, 1): "planar", (3, 0): "translational", (3, 3): "spatial"}
-_SPATIAL, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "rz")
 
 
 def closed_mechanism(
@@ -95,16 +96,14 @@ def closed_mechanism(
         if normal is not None and abs(normal[2]) < 1.0 - EXACT:
             remarks.append("planar, but not across z: the base frame was turned to have z across")
         free, bare = Platform.at_origin(drawing.kind), drawing.legs
-        axes = _PLANAR if drawing.kind in ("point", "planar") else _SPATIAL
+        axes = ("x", "y", "rz") if drawing.kind in ("point", "planar") else TWIST
         closed, placed = assembled(bare, free, tree.slack)
         remarks += _joint_remarks(tree, closed)
         legs = []
         for leg, of_joints in zip(closed, _stems(closed), strict=True):
             stems = (*of_joints, "tip")
             every = displaced(leg, stems, axes)
-            free_names = [
-                name for name in every.parameter_names if name not in _within_balls(every)
-            ]
+            free_names = (k for k in every.parameter_names if k not in _within_balls(every))
             order = tuple(sorted(free_names, key=every.units.__getitem__))  # m first
             distinct = independent(every, placed, order, tree.slack)
             held = set(every.parameter_names).difference(distinct)
@@ -119,11 +118,9 @@ def closed_mechanism(
 
 def _within_balls(leg: Leg) -> set[str]:
     """Return the displacements between the axes of balls, which meet by definition."""
-    moving = {joint.name: joint for joint in leg.articulated}
-    within: set[str] = set()
+    moving, within = {joint.name: joint for joint in leg.articulated}, set[str]()
     for ball in {joint.name.removesuffix("_x") for joint in leg.joints}:
-        axes = [f"{ball}_{axis}" for axis in "xyz"]
-        if all(any(joint.name == axis for joint in leg.joints) for axis in axes):
+        if {joint.name for joint in leg.joints}.issuperset(axes := axes_of(ball)):
             for axis in [axis for axis in axes if axis in moving][1:]:
                 within |= moving[axis].placement.parameter_units.keys()
     return within
@@ -166,8 +163,7 @@ def drawing_of(tree: Tree, platform: str | None = None, base: str | None = None)
         if spins := ChainMap(*map(partial(spins_of, tree), legs)):
             return drawing_of(turned(tree, spins), platform)
         turn = _platform_turn(tree.pose_at_zero(platform)[:3, :3], kind, normal)
-    legs = [_in_frames(leg, normal, turn, tree.slack) for leg in legs]
-    legs = _all_named(legs)
+    legs = _all_named([_in_frames(leg, normal, turn, tree.slack) for leg in legs])
     backward = frozenset(edge.joint.name for edge, forward in steps if not forward)
     return Drawing(tree, platform, kind, legs, normal, turn, backward, loose)
 
@@ -263,9 +259,8 @@ def _upright(joint: Joint, C: Array, C_child: Array) -> Joint:
 
 def _all_named(legs: Sequence[Leg]) -> list[Leg]:
     """Return legs with names of their own, and with unique names of platform points."""
-    points = Counter(point.name for leg in legs for point in leg.points)
-    named = zip(_leg_names(legs), legs, strict=True)
-    return [_named(name, leg, points) for name, leg in named]
+    shared = Counter(point.name for leg in legs for point in leg.points)
+    return [_named(*pair, shared) for pair in zip(_leg_names(legs), legs, strict=True)]
 
 
 def _named(name: str, leg: Leg, shared: Counter[str]) -> Leg:

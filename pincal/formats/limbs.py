@@ -250,7 +250,7 @@ def spins_of(tree: Tree, leg: Leg) -> dict[str, Array]:
     null = vectors[:, :, int((sizes[0] > _SPINS).sum()) :]
     R, spins = leg.link_placements(places)[..., :3, :3], dict[str, Array]()
     for ball in {name.removesuffix("_x") for name in names}:
-        x, y, z = series = _axes(ball)
+        x, y, z = series = axes_of(ball)
         drawn = x not in children or children[x] == f"{children.get(z)}_{x}"  # see ``turns``
         if not drawn or [name for name in names if name in series] != series:
             continue
@@ -266,7 +266,8 @@ def spins_of(tree: Tree, leg: Leg) -> dict[str, Array]:
     return spins
 
 
-def _axes(ball: str) -> list[str]:
+def axes_of(ball: str) -> list[str]:
+    """Return the names of the joints in series that a ball is."""
     return [f"{ball}_{axis}" for axis in "xyz"]
 
 
@@ -280,7 +281,7 @@ def turned(tree: Tree, spins: Mapping[str, Array]) -> Tree:
             edges.append(edge)
             continue
         turn, joint = spins[ball], edge.joint
-        moves = [homes[name].motion(np.array([homes[name].home]))[0] for name in _axes(ball)]
+        moves = [homes[name].motion(np.array([homes[name].home]))[0] for name in axes_of(ball)]
         home = turn.T @ moves[0] @ moves[1] @ moves[2] @ turn
         joint = replace(joint, home=float(turns_in_series(home[None, :3, :3])[0, k]))
         edges.append(replace(edge, joint=_turned(joint, turn) if k == 0 else joint))
@@ -390,7 +391,7 @@ def _to_point(
     place = (np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3] + 0.0
     first = joints[last[0]]
     stem = first.name.removesuffix("_x")
-    if [joints[i].name for i in last] == [f"{stem}_x", f"{stem}_y", f"{stem}_z"]:
+    if [joints[i].name for i in last] == axes_of(stem):
         first = replace(first, name=stem)
     return _up_to(joints[: last[0]], first, centre), place
 

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
 from pincal.files.tree import Edge, Tree, route
+from pincal.formats.arm import undisplaced
 from pincal.formats.closed import Drawing, drawing_of, slack_of
 from pincal.formats.limbs import onto_normal
 from pincal.formats.mjcf import compiled, names_of, pose_of, read_mjcf
@@ -88,21 +89,15 @@ def _drawing(tree: Tree, mechanism: Mechanism) -> Drawing:
     if mechanism.legs[0].is_arm and ends:
         rooted, tip = replace(tree, root=edges[ends[0]].parent), edges[ends[-1]].child
         return Drawing(rooted, tip, "spatial", [], None, np.eye(3), frozenset(), [])
-    legs = [_nominal(leg) for leg in mechanism.legs]
+    marks = _marks([undisplaced(leg) for leg in mechanism.legs])
     for base, platform in product((None, *tree.links), repeat=2):
         with suppress(MechanismError):
             drawing = drawing_of(tree, platform, base)
-            if _marks(drawing.legs) == _marks(legs):
+            if _marks(drawing.legs) == marks:
                 return drawing
     raise MechanismError(
         f"{tree.source} has no legs as {mechanism.name!r} has; give the MJCF from which it was made"
     )
-
-
-def _nominal(leg: Leg) -> Leg:
-    """Return a leg without displacements."""
-    placed = (joint.placement.parameter_units for joint in (*leg.joints, *leg.points))
-    return leg.with_parameters({name: 0.0 for units in placed for name in units})
 
 
 def _marks(legs: Sequence[Leg]) -> list[str]:
@@ -153,36 +148,31 @@ class _Displaced:
 
     def __init__(self, drawing: Drawing, mechanism: Mechanism, redrawn: bool) -> None:
         self.drawing, self.redrawn, self.legs = drawing, redrawn, mechanism.legs
-        legs = mechanism.legs
         self.tree, self.edges = drawing.tree, {edge.child: edge for edge in drawing.tree.edges}
-        self.names = {joint.name for leg in legs for joint in leg.articulated}
-        held = self.names & self.tree.geared.union(self.tree.active) if redrawn else set[str]()
-        held = self.names if legs[0].is_arm else held
-        self.nominal = _closed([_nominal(leg) for leg in legs], drawing, held)
-        self.true = _closed(legs, drawing, held)
-        self.top = self._top(drawing.platform)
-        self.carried = self.top in self.edges and self.edges[self.top].joint.name in self.names
-        self.C = np.eye(4)  # pose of the legs' base frame in its link
+        self.names = {joint.name for leg in self.legs for joint in leg.articulated}
+        driven = self.names & self.tree.geared.union(self.tree.active) if redrawn else set[str]()
+        held = self.names if self.legs[0].is_arm else driven
+        self.nominal = _closed(list(map(undisplaced, self.legs)), drawing, held)
+        self.true = _closed(self.legs, drawing, held)
+        top = drawing.platform  # becomes the first link of the platform's body
+        while top in self.edges and not self.edges[top].moves:
+            top = self.edges[top].parent
+        carried = top in self.edges and self.edges[top].joint.name in self.names
+        self.loose = None if carried else top  # only loops and its own freedoms place it
+        T_link_base = np.eye(4)
         if drawing.normal is not None:
-            self.C[:3, :3] = onto_normal(drawing.normal)
-        self.poses = self._posed()
-        T = self.poses[self.tree.root] @ self.C
+            T_link_base[:3, :3] = onto_normal(drawing.normal)
+        self.poses = self._posed(T_link_base)
+        T = self.poses[self.tree.root] @ T_link_base
         self.platform = _between(T, self.nominal.platform, self.true.platform)
         self.shifts = self._shifted(T)
-        self._guide()
-        self.moved = dict.fromkeys(self.poses, np.eye(4))
-        self.fixed = {drawing.platform: self.platform, self.tree.root: np.eye(4)}
-        if not self.carried:
-            self.fixed[self.top] = self.platform
-        self.moved |= {link: shift for link, shift in self.fixed.items() if link}
+        self._guide(top)
+        given = dict.fromkeys((drawing.platform, self.loose), self.platform)
+        given[self.tree.root] = np.eye(4)
+        self.given = {link: shift for link, shift in given.items() if link}
+        self.moved = dict.fromkeys(self.poses, np.eye(4)) | self.given
 
-    def _top(self, link: str | None) -> str | None:
-        """Return the first link of the platform's body."""
-        while link in self.edges and not self.edges[link].moves:
-            link = self.edges[link].parent
-        return link
-
-    def _posed(self) -> dict[str, Array]:
+    def _posed(self, T_link_base: Array) -> dict[str, Array]:
         """Return the poses of the links, (4, 4): the platform's body is where its pose is known."""
         tree, drawing, nominal = self.tree, self.drawing, self.nominal
         positions = {edge.joint.name: edge.joint.home for edge in tree.edges} | nominal.positions
@@ -194,15 +184,14 @@ class _Displaced:
             )
         poses = {edge.parent: np.eye(4) for edge in tree.edges if edge.parent not in self.edges}
         for link, edge in self.edges.items():
-            position = 0.0 if self.redrawn else positions[edge.joint.name]
-            pose = poses[edge.parent] @ edge.joint.placement.origin()
-            poses[link] = pose @ edge.joint.motion(np.array([position]))[0] if edge.moves else pose
-            known = not (self.redrawn or self.carried) and tree.root in poses
-            if known and drawing.platform and link == self.top:
+            q = np.array([0.0 if self.redrawn else positions[edge.joint.name]])
+            T_parent_link = edge.joint.placement.origin() @ edge.joint.motion(q)[0]
+            poses[link] = poses[edge.parent] @ T_parent_link
+            if link == self.loose and drawing.platform and tree.root in poses and not self.redrawn:
                 below = np.linalg.inv(tree.pose_at_zero(link)) @ tree.pose_at_zero(drawing.platform)
                 below[:3, :3] = below[:3, :3] @ drawing.turn
-                T_base_platform = poses[tree.root] @ self.C @ nominal.platform
-                poses[link] = T_base_platform @ np.linalg.inv(below)
+                T_platform = poses[tree.root] @ T_link_base @ nominal.platform
+                poses[link] = T_platform @ np.linalg.inv(below)
         return poses
 
     def _shifted(self, T: Array) -> Pairs:
@@ -223,24 +212,21 @@ class _Displaced:
                 shifts[name] = (shifts[f"{ball}_y"][0],) * 2
         return shifts
 
-    def _guide(self) -> None:
+    def _guide(self, top: str | None) -> None:
         """Let the platform's own freedoms, which are in no leg, go with the platform."""
-        way = route(self.tree.edges, self.tree.root, self.top) if self.top else []
-        free = [edge.joint.name for edge, forward in way if forward and edge.moves]
-        if free and not self.shifts.keys() & set(free):
-            self.shifts[free[0]] = self.platform if self.redrawn else np.eye(4), self.platform
+        way = route(self.tree.edges, self.tree.root, top) if top else []
+        freedoms = [edge.joint.name for edge, forward in way if forward and edge.moves]
+        if freedoms and not self.shifts.keys() & set(freedoms):
+            self.shifts[freedoms[0]] = self.platform if self.redrawn else np.eye(4), self.platform
 
     def places(self) -> Pairs:
         """Return by link a joint's place on its parent, and the link's in the frame after it."""
         places = Pairs()
         for link, edge in self.edges.items():
-            parent, T_parent, T_link = (
-                self.moved[edge.parent],
-                self.poses[edge.parent],
-                self.poses[link],
-            )
+            parent, T_parent = self.moved[edge.parent], self.poses[edge.parent]
+            T_link = self.poses[link]
             before, after = self.shifts.get(edge.joint.name, (parent, parent))
-            if link not in self.fixed:  # it follows the anchor, and keeps its orientation
+            if link not in self.given:  # it follows the anchor, and keeps its orientation
                 shift = after @ np.linalg.inv(before) @ parent
                 shift[:3, 3] = (after[:3, :3] - shift[:3, :3]) @ T_link[:3, 3] + after[:3, 3]
                 self.moved[link] = shift
@@ -378,12 +364,10 @@ def _patched(path: Path, model: mujoco.MjModel, numbers: Numbers) -> bytes:
             body = keys.get(next(element.iterancestors("body"), None), ("body", 0))[1]
             keys[element] = kind, int(np.searchsorted(carriers, body)) + counts[body]
             counts[body] += 1
-
-    def changed(element: etree._Element, tag: bytes) -> bytes:
-        new = numbers.get(keys.get(element, ("", 0)), {})
-        return _changed(tag, element.attrib, new, settings)
-
-    return with_tags(path, root, changed)
+    new = {element: numbers.get(key, {}) for element, key in keys.items()}
+    return with_tags(
+        path, root, lambda part, tag: _changed(tag, part.attrib, new.get(part, {}), settings)
+    )
 
 
 def _changed(
@@ -400,11 +384,10 @@ def _changed(
         if key == "quat":
             turn = Rotation.from_quat(value, scalar_first=True)
             if "euler" in attributes:
-                order = ""
-                for letter in settings["eulerseq"]:  # capitals turn about fixed axes
-                    order = letter + order if letter.isupper() else order + letter
-                angles = dict(zip(order, turn.as_euler(order.upper()), strict=True))
-                key, value = "euler", unit * np.array([angles[c] for c in settings["eulerseq"]])
+                axes = settings["eulerseq"]  # capitals turn about fixed axes, in reverse
+                order = sorted(range(3), key=lambda i: -i if axes[i].isupper() else i + 1)
+                angles = turn.as_euler("".join(axes[i].upper() for i in order))
+                key, value = "euler", unit * angles[np.argsort(order)]
             elif "axisangle" in attributes:
                 vector = turn.as_rotvec()
                 angle = np.linalg.norm(vector)
