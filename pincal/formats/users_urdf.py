@@ -15,6 +15,7 @@ applied to the frames that are fixed to the platform's link.
 """
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
@@ -28,8 +29,9 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
 from pincal.files.tree import Edge, Tree, at_home
-from pincal.files.urdf import read_urdf
+from pincal.files.urdf import numbers_text, read_urdf
 from pincal.files.yaml import Entry, read_yaml
+from pincal.formats.arm import undisplaced
 from pincal.formats.closings import read_closed
 from pincal.formats.sdf import read_sdf
 from pincal.model import Closing, Joint, Leg, Mechanism, Placement, placement_of
@@ -136,15 +138,15 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
     urdf = {edge.joint.name: edge for edge in read_urdf(path).edges}
     placements: dict[str, Array] = {}
     shifts: list[tuple[str, Array]] = []
-    for calibrated in _legs_of(path, urdf, mechanism):
-        for point in (end.point for end in calibrated.every_end if end.closes == "point"):
+    for leg in _legs_of(path, urdf, mechanism):
+        for point in (end.point for end in leg.every_end if end.closes == "point"):
             if point is not None and (name := point.name.removesuffix("_back")) in urdf:
                 T = point.placement.origin()  # or, as _back, the platform's place in its link
                 placements[name] = T if name == point.name else np.asarray(np.linalg.inv(T))
-        if any(_named(urdf, joint.name) for joint in calibrated.moving):
-            chain = _of_chain(path, urdf, calibrated)
+        if _joints_of(urdf, leg):
+            chain = _of_chain(path, urdf, leg)
             placements |= chain
-            shifts.append((urdf[list(chain)[-1]].child, _shift(urdf, calibrated)))
+            shifts.append((urdf[list(chain)[-1]].child, _shift(urdf, leg)))
     for last, T_link_platform in shifts:
         if np.abs(T_link_platform - np.eye(4)).max() > ROUNDING:
             placements |= _moved(path, urdf, placements, last, T_link_platform)
@@ -181,13 +183,14 @@ def _named(urdf: Edges, name: str) -> str | None:
     return name if name in urdf else stem if stem in urdf else None
 
 
+def _joints_of(urdf: Edges, leg: Leg) -> set[str]:
+    """Return the URDF's joints that joints of a leg represent."""
+    return {name for joint in leg.moving if (name := _named(urdf, joint.name))}
+
+
 def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism) -> list[Leg]:
     """Return the legs whose joints, or whose platform points, are in a URDF."""
-    drawn = {
-        leg.name: {_named(urdf, joint.name) for joint in leg.moving} - {None}
-        for leg in mechanism.legs
-    }
-    legs = [leg for leg in mechanism.legs if drawn[leg.name]]
+    legs = [leg for leg in mechanism.legs if _joints_of(urdf, leg)]
     legs = legs or [leg for leg in mechanism.legs if leg.point.name in urdf]
     if not legs:
         joints = listed(joint.name for joint in mechanism.legs[0].moving)
@@ -195,7 +198,8 @@ def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism) -> list[Leg]:
             f"{path} has none of the joints {joints}, …; give the URDF from which "
             f"{mechanism.name!r} was made"
         )
-    if len(set().union(*drawn.values())) == sum(map(len, drawn.values())):
+    joints_of_legs = Counter(name for leg in legs for name in _joints_of(urdf, leg))
+    if max(joints_of_legs.values(), default=1) == 1:
         return legs
     if not (meant := [leg for leg in legs if leg.name == path.stem]):
         raise MechanismError(
@@ -214,7 +218,7 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
     for index, joint in enumerate(leg.joints):
         name, previous = _named(urdf, joint.name), on[leg.carriers[index]]
         if name is None or name in origins:
-            _check_held(path, leg, joint)
+            _check_held(path, urdf, leg, index)
             on[index] = previous if name in origins else joint.name
             continue
         drawn, carrier = urdf[name].joint, carriers.get(urdf[name].parent)
@@ -225,7 +229,7 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
             )
         if joint.kind != "fixed" and name == joint.name:
             _check_axis(path, joint, drawn)
-        origins[name] = turns.get(leg.carriers[index], np.eye(4)) @ joint.placement.origin()
+        origins[name] = turns.get(leg.carriers[index], np.eye(4)) @ _origin(urdf, leg, index)
         if ball := [leg.index(axis) for axis in names if axis in (f"{name}_y", f"{name}_z")][1:]:
             turn = turns[ball[0]] = np.eye(4)  # of its frame, along a spin
             turn[:3, :3] = drawn.placement.origin()[:3, :3].T @ origins[name][:3, :3]
@@ -234,17 +238,29 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
     return origins
 
 
-def _check_held(path: Path, leg: Leg, joint: Joint) -> None:
+def _after_held(urdf: Edges, leg: Leg, index: int) -> bool:
+    """Return whether a joint is an axis of a ball whose axis before is held."""
+    before, joint = leg.joints[leg.carriers[index]], leg.joints[index]
+    return before.kind == "fixed" and _named(urdf, before.name) == (_named(urdf, joint.name) or "")
+
+
+def _origin(urdf: Edges, leg: Leg, index: int) -> Array:
+    """Return a joint's origin, (4, 4); a ball is displaced at its first axis that is not held."""
+    origin = leg.joints[index].placement.origin()
+    further = index + 1 < len(leg.joints) and _after_held(urdf, leg, index + 1)
+    return origin @ _origin(urdf, leg, index + 1) if further else origin
+
+
+def _check_held(path: Path, urdf: Edges, leg: Leg, index: int) -> None:
     """Raise if a joint that is not in a URDF was displaced."""
-    held = joint is leg.joints[-1] and leg.closes == "frame"  # see ``_shift``
-    zeros = dict.fromkeys(joint.placement.parameter_units, 0.0)
-    nominal = leg.with_parameters(zeros).joints[leg.joints.index(joint)].placement.origin()
-    moved = np.abs(np.linalg.inv(nominal) @ joint.placement.origin() - np.eye(4)).max()
-    if not held and moved > ROUNDING:
+    joint, nominal = leg.joints[index], undisplaced(leg).joints[index].placement.origin()
+    at_tip = joint is leg.joints[-1] and leg.closes == "frame"  # see ``_shift``
+    moved = np.abs(nominal - joint.placement.origin()).max() > ROUNDING
+    if moved and not at_tip and not _after_held(urdf, leg, index):
+        names = ", ".join(joint.placement.parameter_units)
         raise MechanismError(
-            f"{path} has no joint {joint.name!r}, whose placement was calibrated; give "
-            f"the URDF from which the mechanism was made, or hold {', '.join(zeros)} "
-            "(--fixed)"
+            f"{path} has no joint {joint.name!r}, whose placement was calibrated; give the URDF "
+            f"from which the mechanism was made, or hold {names} (--fixed)"
         )
 
 
@@ -268,9 +284,8 @@ def _shift(urdf: Edges, leg: Leg) -> Array:
         return shift if last.name in urdf else last.placement.origin()
     if leg.point.name.removesuffix("_back") in urdf:
         return shift
-    tip, names = _named(urdf, last.name), leg.point.placement.parameter_units
-    if names and tip is not None and urdf[tip].moves:  # otherwise the platform is in another file
-        nominal = leg.with_parameters(dict.fromkeys(names, 0.0)).point.placement.xyz
+    tip, nominal = _named(urdf, last.name), undisplaced(leg).point.placement.xyz
+    if tip is not None and urdf[tip].moves:  # otherwise the platform is in another file
         shift[:3, 3] = np.subtract(nominal, leg.point.placement.xyz)
     return shift
 
@@ -323,7 +338,7 @@ def _with_origin(tag: bytes, placement: Placement) -> bytes:
 
 def with_numbers(tag: bytes, key: str, values: Iterable[float]) -> bytes:
     """Return a start tag with the numbers of an attribute, which is added if absent."""
-    numbers = " ".join(repr(float(v) + 0.0) for v in values).encode()
+    numbers = numbers_text(values).encode()
     pattern = rb"(\s" + key.encode() + rb"\s*=\s*([\"'])).*?(?=\2)"
     if re.search(pattern, tag, re.DOTALL):
         return re.sub(pattern, rb"\g<1>" + numbers, tag, count=1, flags=re.DOTALL)
