@@ -386,6 +386,35 @@ def test_imported_loops(write, gaps, reach: float, tmp_path: Path) -> None:  # t
     np.testing.assert_allclose(shifts, shifts[:1] + 0.0 * shifts, atol=1e-9)
 
 
+def test_points_behind_fixed_links_go_into_the_users_urdf(tmp_path: Path) -> None:
+    """Rods end on a foot, a sole fixed to it is the platform: the rods' frames on the foot move.
+
+    They stayed, in silence, so that the exported ankle tilted by 9 mrad from the calibrated one.
+    """
+    file, name = neighbours.ankle(tmp_path / "cad"), ("--platform", "sole")
+    sole = '<link name="sole"/><joint name="sole_fix" type="fixed"><parent link="foot"/>'
+    sole += '<child link="sole"/><origin xyz="0.02 0 -0.05"/></joint></robot>'
+    file.write_text(file.read_text().replace("</robot>", sole))
+    done("import", file, *name, "-o", tmp_path / "mechanism")
+    mechanism = pincal.load_mechanism(tmp_path / "mechanism")
+    true = pincal.disturb(mechanism, 1e-3, 0)
+    true.save(tmp_path / "true")
+    done("export", tmp_path / "true", "--original", file, "-o", tmp_path / "robot.urdf")
+    (tmp_path / "robot.yaml").write_text(file.with_suffix(".yaml").read_text())
+    done("import", tmp_path / "robot.urdf", *name, "-o", tmp_path / "again")
+    readings = np.random.default_rng(5).uniform(-0.2, 0.2, (20, 2))
+    poses = [pincal.forward(m, readings).poses for m in (true, tmp_path / "again", mechanism)]
+    T, exported, nominal = map(mechanism.platform.matrices, poses)
+    np.testing.assert_allclose(exported, T, atol=1e-9)
+    assert np.abs(nominal - T).max() > 1e-3
+    text = file.read_text()
+    moved = text.replace(neighbours.vector(*neighbours.ANKLE[0][2]), "-0.05 0.051 0")
+    assert moved != text
+    file.write_text(moved)
+    refused = run("export", tmp_path / "true", "--original", file, "-o", tmp_path / "none.urdf")
+    assert "has no frame at the point where" in refused.trouble
+
+
 CLOSINGS = {
     "constraint": '<constraint name="c" type="{kind}"><parent link="coupler"/><child link="l3"/>'
     '<parent_origin xyz="{0}"/><child_origin xyz="{1}" rpy="1.5707963267948966 0 0"/>'

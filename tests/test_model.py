@@ -132,6 +132,14 @@ def test_noise_and_setup_say_what_they_expect(make: object, said: str) -> None:
         make()
 
 
+def test_numbers_of_numpy_and_series_of_any_kind_are_taken() -> None:
+    """Switches and numbers of NumPy, arrays without axes, and instruments from a generator."""
+    assert pincal.Options(rough=np.bool_(True)).rough
+    assert pincal.Sensor("a", gain=np.array(2.0), direction=np.int64(-1)).direction == -1
+    assert pincal.Lens(np.array([640, 480]), np.array(600.0)).size == (640, 480)
+    assert pincal.Setup(instruments=(camera for camera in ())).instruments == ()
+
+
 def test_arrays_are_float64_and_copies() -> None:
     """Lists and integers become arrays of the object's own, which SciPy takes."""
     own = POSES.copy()

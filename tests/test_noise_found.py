@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from measured import workspace
@@ -117,3 +119,19 @@ def test_exact_readings_of_eight_drives_leave_no_direction_open() -> None:
     assert 0.0 < result.noise.reading < 1e-5
     assert result.noise.position == pytest.approx(1e-4, rel=0.1)
     assert result.degrees_of_freedom <= 6 * len(data) - 6
+
+
+def test_noise_that_is_given_row_by_row_is_in_proportion() -> None:
+    """Columns of σ that are right contradict nothing, as the same noise for all rows does not."""
+    mechanism, noise = pincal.load_mechanism("6UPS"), pincal.Noise(1e-4, 1e-4, 3e-4)
+    plan = pincal.sample_configurations(mechanism, 40, 0)
+    truth = pincal.disturb(mechanism, 1e-3, 1)
+    data = pincal.simulate(mechanism, truth, plan, noise, 0).measurements
+    poses, readings = np.full(data.poses.shape, 1e-4), np.full(data.readings.shape, 3e-4)
+    by_row = replace(data, sigma_poses=poses, sigma_readings=readings)
+    result = pincal.calibrate(mechanism, by_row)
+    assert result.noise_source == "rows"
+    assert [remark.code for remark in result.findings] == []
+    exchanged = replace(data, sigma_poses=readings, sigma_readings=poses)
+    codes = {remark.code for remark in pincal.calibrate(mechanism, exchanged).findings}
+    assert codes & {"noise-in-other-proportion", "chi2-too-large"}

@@ -133,8 +133,7 @@ def _noise_proportion(fits: Fits) -> list[Finding]:
         return []
     moments, exact = fits.moments, not any(fit.problem.leg_block.sigma.any() for fit in fits.fits)
     names = np.array(["positions", "orientations", "readings", "pixels"])[: len(moments.F)]
-    testable = (names != "readings") | exact | (noise.noise.reading > 0.0)
-    groups = np.flatnonzero(testable & (np.diagonal(moments.F) > 0.0))
+    groups = np.flatnonzero(np.diagonal(moments.F) > 0.0)
     F, given = moments.F[np.ix_(groups, groups)], 1.0 - exact * (groups == READINGS)
     q, expected, variances = moments.q[groups], F @ given, np.linalg.pinv(F) @ moments.q[groups]
     spread = 2.0 * F + F @ np.diag([2.0 / noise.freedoms[group] for group in groups]) @ F
@@ -146,7 +145,7 @@ def _noise_proportion(fits: Fits) -> list[Finding]:
     if p_value < FALSE_ALARM and len(groups) > 1 and larger.any():
         sizes = np.sqrt(variances.clip(0.0)).tolist()
         ratios = dict(zip(names[groups].tolist(), sizes, strict=True))
-        reading = usual * ratios.pop("readings") if exact else None
+        reading = usual * ratios.pop("readings", 0.0) if exact else None
         values: dict[str, Any] = {"ratios": ratios, "p_value": p_value, "reading": reading}
         return [finding("noise-in-other-proportion", unit=unit, **values)]
     if not exact or (harmful := _harmful_noise(moments)) >= 1.0:

@@ -243,7 +243,9 @@ def _group_covariances(linear: Linear, reading: float) -> Array:
         W = np.where(problem.active[:, None, n_legs:], W, 0.0)
     units = np.array([*problem.quantities.values()][n_readings:], dtype=str)
     of_groups = [W[:, :, units == unit] for unit in GROUPS]
-    of_groups.insert(READINGS, linear.white(reading * linear.by_reading))
+    sigma = problem.leg_block.sigma[:, None]
+    size = sigma if sigma.any() else reading  # exact readings at an assumed noise
+    of_groups.insert(READINGS, linear.white(size * linear.by_reading))
     groups = of_groups if "px" in units else of_groups[:3]
     return np.stack([part @ part.transpose(0, 2, 1) for part in groups])
 

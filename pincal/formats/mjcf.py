@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,6 +90,7 @@ def compiled(path: Path, text: bytes | None = None) -> mujoco.MjModel:
             spec = _spec(path, text)
             _drop_shapes(spec)
             model = spec.compile()
+        model.names.decode()  # names are texts
     except (ValueError, RuntimeError) as error:
         fault = " ".join(_NOISE.sub("", str(error)).split())[:240]
         raise MechanismError(f"{path}: MuJoCo cannot read it: {fault}") from error
@@ -105,8 +107,13 @@ def compiled(path: Path, text: bytes | None = None) -> mujoco.MjModel:
 def _spec(path: Path, text: bytes | None) -> mujoco.MjSpec:
     if text is None:
         return mujoco.MjSpec.from_file(str(path))
-    included = re.findall(rb"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)", text)
-    files = {name.decode(): (path.parent / name.decode()).read_bytes() for name in included}
+    files, parts = dict[str, bytes](), [text]
+    while parts:
+        plain = re.sub(rb"<!--.*?-->", b"", parts.pop(), flags=re.DOTALL).decode("utf-8", "replace")
+        for name in re.findall(r"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)", plain):
+            if (file := unescape(name)) not in files:
+                files[file] = (path.parent / file).read_bytes()
+                parts.append(files[file])
     return mujoco.MjSpec.from_string(text.decode("utf-8", "replace"), include=files)
 
 

@@ -176,7 +176,7 @@ class _Displaced:
         """Return the poses of the links, (4, 4): the platform's body is where its pose is known."""
         tree, drawing, nominal = self.tree, self.drawing, self.nominal
         positions = {edge.joint.name: edge.joint.home for edge in tree.edges} | nominal.positions
-        of_legs = [abs(positions[name]) for name in nominal.frames.keys() & positions.keys()]
+        of_legs = map(abs, nominal.positions.values())
         if self.redrawn and max(of_legs, default=0.0) > max(ALIKE, tree.slack):
             raise MechanismError(
                 f"{tree.source}: a connect or weld takes its second place from the drawing, but "
@@ -376,17 +376,18 @@ def _changed(
     numbers: Mapping[str, Array],
     settings: Mapping[str, str],
 ) -> bytes:
-    """Return a start tag with new numbers; an orientation keeps its notation, but for zaxis."""
+    """Return a start tag with new numbers; an orientation keeps its notation if that holds any."""
     unit = 1.0 if settings["angle"] == "radian" else 180.0 / np.pi
     for key, value in numbers.items():
         if key == "relpose" and key not in attributes:
             continue  # the drawing has it
         if key == "quat":
             turn = Rotation.from_quat(value, scalar_first=True)
-            if "euler" in attributes:
-                axes = settings["eulerseq"]  # capitals turn about fixed axes, in reverse
-                order = sorted(range(3), key=lambda i: -i if axes[i].isupper() else i + 1)
-                angles = turn.as_euler("".join(axes[i].upper() for i in order))
+            axes = settings["eulerseq"]  # capitals turn about fixed axes, in reverse
+            order = sorted(range(3), key=lambda i: -i if axes[i].isupper() else i + 1)
+            first, second, third = (axes[i].upper() for i in order)
+            if "euler" in attributes and first != second != third:
+                angles = turn.as_euler(first + second + third)
                 key, value = "euler", unit * angles[np.argsort(order)]
             elif "axisangle" in attributes:
                 vector = turn.as_rotvec()
@@ -394,6 +395,7 @@ def _changed(
                 key, value = "axisangle", np.append(vector / angle, unit * angle)
             elif "xyaxes" in attributes:
                 key, value = "xyaxes", turn.as_matrix()[:, :2].T.ravel()
-            tag = re.sub(rb"(\s)zaxis(?=\s*=)", rb"\1quat", tag)
+            if key == "quat":
+                tag = re.sub(rb"(\s)(zaxis|euler)(?=\s*=)", rb"\1quat", tag)
         tag = with_numbers(tag, key, value)
     return tag

@@ -35,7 +35,7 @@ from pincal.formats.arm import undisplaced
 from pincal.formats.closings import read_closed
 from pincal.formats.sdf import read_sdf
 from pincal.model import Closing, Joint, Leg, Mechanism, Placement, placement_of
-from pincal.model.checks import ROUNDING, listed
+from pincal.model.checks import EXACT, ROUNDING, listed
 from pincal.types import Array
 
 _MARKUP = re.compile(  # start tags, whose attributes may hold '>', and all that is none
@@ -147,6 +147,7 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
             chain = _of_chain(path, urdf, leg)
             placements |= chain
             shifts.append((urdf[list(chain)[-1]].child, _shift(urdf, leg)))
+    placements |= _points_fixed(path, urdf, placements, mechanism)
     for last, T_link_platform in shifts:
         if np.abs(T_link_platform - np.eye(4)).max() > ROUNDING:
             placements |= _moved(path, urdf, placements, last, T_link_platform)
@@ -156,6 +157,54 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
         if np.abs(origin - urdf[name].joint.placement.origin()).max() > ROUNDING
     }
     return _rewritten(path, changed)
+
+
+def _points_fixed(
+    path: Path, urdf: Edges, placements: Mapping[str, Array], mechanism: Mechanism
+) -> dict[str, Array]:
+    """Return the origins of frames that hold displaced points of a platform that a leg carries."""
+    carriers = [leg for leg in mechanism.legs if leg.closes == "frame" and _joints_of(urdf, leg)]
+    legs = [leg for leg in mechanism.legs if _has_displaced_point(urdf, leg)]
+    if not (legs and carriers):  # without a carrier, the platform is in another file
+        return {}
+    link = urdf[list(_of_chain(path, urdf, carriers[0]))[-1]].child
+    T_drawn, T_calibrated = _shift(urdf, undisplaced(carriers[0])), _shift(urdf, carriers[0])
+    poses, origins = _poses_fixed(urdf, placements, link), dict[str, Array]()
+    names = [name for name, edge in urdf.items() if edge.child in poses and not edge.moves]
+    points = np.array([poses[urdf[name].child][0][:3, 3] for name in names]).reshape(-1, 3)
+    for leg in legs:
+        drawn = (T_drawn @ undisplaced(leg).point.placement.origin())[:3, 3]
+        frames = np.flatnonzero(np.abs(points - drawn).max(axis=1) <= EXACT * leg.size)
+        if not len(frames):
+            raise MechanismError(
+                f"{path} has no frame at the point where {leg.name!r} meets the platform, which "
+                "was calibrated; give it a link of its own, fixed to the platform, or hold the "
+                f"point (--fixed '{leg.name}.point_*')"
+            )
+        for name in map(names.__getitem__, frames):
+            pose = poses[urdf[name].child][1].copy()
+            pose[:3, 3] = (T_calibrated @ leg.point.placement.origin())[:3, 3]
+            origins[name] = np.linalg.inv(poses[urdf[name].parent][1]) @ pose
+    return origins
+
+
+def _has_displaced_point(urdf: Edges, leg: Leg) -> bool:
+    """Return whether a leg's platform point was displaced, and no joint of the URDF is at it."""
+    unnamed = leg.closes == "point" and leg.point.name not in urdf
+    return unnamed and leg.point != undisplaced(leg).point
+
+
+def _poses_fixed(urdf: Edges, placements: Mapping[str, Array], link: str) -> dict[str, Array]:
+    """Return the poses of links fixed to a link, in it, (2, 4, 4): as drawn, and calibrated."""
+    poses, edges = {link: np.tile(np.eye(4), (2, 1, 1))}, [e for e in urdf.values() if not e.moves]
+    for edge in edges * len(edges):
+        drawn = edge.joint.placement.origin()
+        steps = np.array((drawn, placements.get(edge.joint.name, drawn)))
+        if edge.parent in poses:
+            poses.setdefault(edge.child, poses[edge.parent] @ steps)
+        elif edge.child in poses:
+            poses[edge.parent] = poses[edge.child] @ np.linalg.inv(steps)
+    return poses
 
 
 def _moved(

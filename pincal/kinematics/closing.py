@@ -304,8 +304,8 @@ def _in_mode(legs: Sequence[LegClosure], matrices: Array, joints: Array) -> Arra
     if in_home_modes(legs, evaluate(legs, bare, matrices)).all():
         return joints
     closed, active = close(legs, matrices).joints, legs[0].leg.active
-    off = np.abs(closed - joints)[:, active] / legs[0].leg.scales[active]
-    return np.where((off <= _SAME_DRIVES).all(axis=1, keepdims=True), closed, joints)
+    differences = np.abs(closed - joints)[:, active] / legs[0].leg.scales[active]
+    return np.where((differences <= _SAME_DRIVES).all(axis=1, keepdims=True), closed, joints)
 
 
 def _at_home(leg: LegClosure) -> tuple[Array, Array]:

@@ -379,7 +379,7 @@ def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: A
 def joint_range(leg: Leg) -> tuple[Array, Array]:
     """Return the ends of the joints' ranges, (n_joints,) each: limits, or a turn about home."""
     free = np.array([not joint.limited for joint in leg.moving])
-    low, high = np.array([(joint.lower, joint.upper) for joint in leg.moving]).T
+    low, high = np.array([(joint.lower, joint.upper) for joint in leg.moving]).reshape(-1, 2).T
     return np.where(free, leg.home - np.pi, low), np.where(free, leg.home + np.pi, high)
 
 

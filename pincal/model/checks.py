@@ -4,6 +4,8 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -175,22 +177,31 @@ def check_kinds(values: Mapping[str, Any], owner: Any, error_type: type[PincalEr
             raise error_type(f"{label}; got {described(values[name])}")
 
 
-_hints, _KINDS = cache(get_type_hints), {float: Real, int: Integral, Sequence: tuple, Any: object}
+_hints = cache(get_type_hints)
+_KINDS: dict[Any, Any] = {float: Real, int: Integral, Path: PathLike, Any: object}
 
 
 def _is_of(value: Any, kind: Any) -> bool:
-    """Return whether a value is of an annotated kind; lists and arrays count as tuples."""
+    """Return whether a value is of an annotated kind; lists and other series count as tuples."""
     origin, inner = get_origin(kind), get_args(kind)
+    value = value.item() if isinstance(value, np.generic | np.ndarray) and not value.ndim else value
     if origin is Literal:
-        return str(value) in inner
+        return isinstance(value, str | Real) and value in inner
     if origin in (Union, type(int | str)):
         return any(_is_of(value, each) for each in inner)
     if origin is Mapping and isinstance(value, Mapping):
         return all(all(map(_is_of, pair, inner)) for pair in value.items())
-    if origin not in (tuple, Sequence) or not isinstance(value, tuple | list | np.ndarray):
+    if origin not in (tuple, Sequence):
         return origin is np.ndarray or isinstance(value, _KINDS.get(origin or kind, origin or kind))
-    inner = inner[:1] * len(value) if origin is Sequence or inner[-1] is Ellipsis else inner
-    return len(inner) == len(value) and all(map(_is_of, value, inner))
+    return _are_of(value, inner, origin is Sequence or inner[-1] is Ellipsis)
+
+
+def _are_of(values: Any, kinds: tuple[Any, ...], alike: bool) -> bool:
+    """Return whether a series is of annotated kinds, the first for all if they are alike."""
+    if not isinstance(values, tuple | list | np.ndarray):
+        return isinstance(values, Iterable) and not isinstance(values, str | bytes | Mapping)
+    kinds = kinds[:1] * len(values) if alike else kinds
+    return len(kinds) == len(values) and all(map(_is_of, values, kinds))
 
 
 def wrapped(angles: Array) -> Array:
