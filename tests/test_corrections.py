@@ -233,6 +233,7 @@ def test_wrong_exports_are_refused_and_nothing_is_written(tmp_path: Path) -> Non
     before = contents(tmp_path)
     for words, message in [
         (("-o", tmp_path / "c.cfg", "--original", poses), "leave out --original"),
+        (("-o", tmp_path / "c.xml", "--original", tmp_path / "c.sdf"), "not for the format sdf"),
         (("-o", poses), "is not known; give it the ending"),
         (("-o", tmp_path / "c.txt"), "is not known; give it the ending"),
     ]:

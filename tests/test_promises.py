@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 from cramer_rao import Machine, drawn, machine, off, values_of
-from marks import slow_or_fuzz, some_slow
+from marks import quick, slow_or_fuzz, some_slow
 from measured import validated
 from numpy.typing import NDArray
 from resized import scaled
@@ -183,7 +183,7 @@ def codes_of(one: Machine, noise: pincal.Noise, given: pincal.Noise, seed: int) 
     return contradicted | {remark.code for remark in result.findings}
 
 
-@pytest.mark.parametrize("kind", ["5R", "3RRR", "6UPS"])
+@pytest.mark.parametrize("kind", quick(2, ["5R", "3RRR", "6UPS"]))
 def test_readings_called_exact_are_not_passed_over(kind: str) -> None:
     """Where ten poses do not contradict noise of the readings, they say so; more poses do test it.
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from command_line import done, run
 from machines import MACHINES
+from marks import some_slow
 from neighbours import delta_rods, vector
 from scipy.spatial.transform import Rotation
 from test_neighbours import LOOPED, struts
@@ -152,7 +153,7 @@ def solved(file: Path, drives: list[str], readings: np.ndarray, link: str) -> np
     return np.array(poses)
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", some_slow(FILES, "delta, bodies"))
 def test_calibrated_loops_go_into_the_users_mjcf(name: str, tmp_path: Path) -> None:
     """Read again, the file is the calibrated machine, and only numbers of it have changed."""
     file = tmp_path / "robot.xml"
@@ -217,12 +218,14 @@ ORIENTED = {
 
 @pytest.mark.parametrize("tip", ["end", "hand"])
 @pytest.mark.parametrize(
-    "settings",
-    ['angle="radian" eulerseq="xYz"', 'eulerseq="ZYX"', 'eulerseq="zyz"', 'eulerseq="zYz"'],
+    ("settings", "notation"),
+    [
+        *(('angle="radian" eulerseq="xYz"', notation) for notation in ORIENTED),
+        *((f'eulerseq="{axes}"', "euler") for axes in ("ZYX", "zyz", "zYz")),
+    ],
 )
-@pytest.mark.parametrize("notation", ORIENTED)
 def test_calibrated_arms_go_into_the_users_mjcf(
-    notation: str, settings: str, tip: str, tmp_path: Path
+    settings: str, notation: str, tip: str, tmp_path: Path
 ) -> None:
     """MuJoCo has the tip where the calibrated arm has it, in whatever notation a file is written.
 

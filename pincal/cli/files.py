@@ -213,8 +213,9 @@ def export(
             f"the format of {output.name!r} is {fault}; give it the ending .urdf, .xml (MJCF), "
             ".cfg (Klipper) or .g (RepRapFirmware; Marlin: --format marlin)"
         )
-    if original is not None and form not in ("urdf", "mjcf"):
-        raise MechanismError(f"leave out --original: not for the format {form}")
+    formats = {form, INPUTS.get(original.suffix.lower(), form)} if original else set[str]()
+    if unsuitable := formats - {"urdf", "mjcf"}:
+        raise MechanismError(f"leave out --original: not for the format {min(unsuitable)}")
     mechanism = pincal.load_mechanism(mech)
     data, remarks = _exported(mechanism, form, original)
     with writing(output, force=force) as scratch:

@@ -90,7 +90,9 @@ def _drawing(tree: Tree, mechanism: Mechanism) -> Drawing:
         rooted, tip = replace(tree, root=edges[ends[0]].parent), edges[ends[-1]].child
         return Drawing(rooted, tip, "spatial", [], None, np.eye(3), frozenset(), [])
     marks = _marks([undisplaced(leg) for leg in mechanism.legs])
-    for base, platform in product((None, *tree.links), repeat=2):
+    drives = {leg.moving[index].name for leg in mechanism.legs for index in leg.active}
+    links = (None, *tree.links) if drives <= edges.keys() else ()  # else none has such legs
+    for base, platform in product(links, repeat=2):
         with suppress(MechanismError):
             drawing = drawing_of(tree, platform, base)
             if _marks(drawing.legs) == marks:
