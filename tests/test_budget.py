@@ -20,7 +20,7 @@ LINES = {
     "design": 2_536,
     "estimation": 4_293,
     "files": 3_256,
-    "formats": 4_309,
+    "formats": 4_311,
     "instruments": 1_544,
     "kinematics": 3_457,
     "model": 3_567,

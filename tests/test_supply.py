@@ -187,3 +187,16 @@ def test_wheel_installs_and_runs_elsewhere(built: Path, version: str, tmp_path: 
             text=True,
         )
         assert run.returncode == 0, run.stderr
+
+
+def test_commands_need_no_extra_package(tmp_path: Path) -> None:
+    """Without what the extras install, a command runs, and MJCF says which extra it needs."""
+    extras = ("mujoco", "cv2", "distributed")
+    code = f"import sys; sys.modules.update(dict.fromkeys({extras}))\n"
+    code += "from pincal_command import main\nmain()"
+    (tmp_path / "robot.xml").write_text("<mujoco/>")
+    new = [sys.executable, "-c", code, "new", "five-bar", "-o", str(tmp_path / "m")]
+    assert subprocess.run(new, check=False, capture_output=True).returncode == 0
+    read = [sys.executable, "-c", code, "import", str(tmp_path / "robot.xml"), "-o", "none"]
+    outcome = subprocess.run(read, check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert (outcome.returncode, "pincal[mujoco]" in outcome.stderr) == (2, True)

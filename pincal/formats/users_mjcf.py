@@ -7,6 +7,8 @@ takes a loop's second place from the drawing, the machine is drawn closed with i
 and passive joints count from there. What MuJoCo compiles of the new file must be what was meant.
 """
 
+from __future__ import annotations
+
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
