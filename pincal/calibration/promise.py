@@ -78,8 +78,9 @@ def errors_inside(result: CalibrationResult, plan: Plan) -> tuple[PlatformError,
 def _with_hidden(
     result: CalibrationResult, poses: Plan | Array, error: PlatformError
 ) -> PlatformError:
-    hidden = _hidden(result, poses, error.unnoticed) if error.promised else error.hidden
-    return replace(error, hidden=hidden)
+    if not error.promised:
+        return error
+    return replace(error, hidden=_hidden(result, poses, error.unnoticed))
 
 
 def _in_region(result: CalibrationResult, poses: Plan | Array) -> PlatformError:

@@ -157,10 +157,8 @@ def _import_tree(
         mechanism = arm.serial_arm(tree, options.tip, options.base)
         remarks = arm.left_open(tree, mechanism)
     else:
-        text = read_bytes(file, LARGEST_FILE["XML"], MechanismError).replace(
-            b"\0", b""
-        )  # of UTF-16
-        tree = replace(tree, slack=closed.slack_of(text.decode("latin-1")))
+        data = read_bytes(file, LARGEST_FILE["XML"], MechanismError)
+        tree = replace(tree, slack=closed.slack_of(data))
         mechanism, remarks = closed.closed_mechanism(tree, options.platform, options.base)
         if yaml is not None:
             say(f"loops closed by {yaml}")

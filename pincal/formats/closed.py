@@ -42,13 +42,13 @@ _WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
 _NUMBERS = 10  # numbers along a leg whose digits may be cut: two across each of five joints
 
 
-def slack_of(text: str) -> float:
+def slack_of(data: bytes) -> float:
     """Return how far digits cut from an XML file may have moved a leg's frames, [rad] or relative.
 
     It is half a unit in the last digit times the numbers along a leg. Numbers of less than four
     digits count as exact, except multiples of a right angle such as 1.57.
     """
-    cut = 0.0
+    cut, text = 0.0, data.replace(b"\0", b"").decode("latin-1")  # of UTF-16, too
     for kinds in _WRITTEN:
         values = " ".join(re.findall(rf"""\b(?:{kinds})\s*=\s*["']([^"']*)["']""", text)).split()
         plain = [re.sub(r"[eE].*|[-+.]", "", value).strip("0") for value in values]

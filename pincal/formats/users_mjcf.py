@@ -64,7 +64,7 @@ def calibrated_mjcf(original: str | Path, mechanism: Mechanism) -> bytes:
     """Return the bytes of an MJCF file with the geometry of a calibrated mechanism."""
     path = Path(original)
     text, model, tree = plain_bytes(path), compiled(path), read_mjcf(path)
-    tree = replace(tree, slack=slack_of(text.decode("utf-8", "replace")))
+    tree = replace(tree, slack=slack_of(text))
     redrawn = bool(_AS_DRAWN.search(text)) or mechanism.legs[0].is_arm
     displaced, written = _Displaced(_drawing(tree, mechanism), mechanism, redrawn), _Written(model)
     written.bodies(displaced.edges, displaced.places())

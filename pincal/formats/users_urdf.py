@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
-from pincal.files.tree import Edge, Tree, at_home
+from pincal.files.tree import Edge, Tree, at_home, route
 from pincal.files.urdf import numbers_text, read_urdf
 from pincal.files.yaml import Entry, read_yaml
 from pincal.formats.arm import undisplaced
@@ -134,11 +134,12 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
 
     The URDF may be of an arm, a tree with loops, a leg (by the file's name), or the platform.
     """
-    path = Path(original)
-    urdf = {edge.joint.name: edge for edge in read_urdf(path).edges}
+    path, tree = Path(original), read_urdf(Path(original))
+    urdf = {edge.joint.name: edge for edge in tree.edges}
     placements: dict[str, Array] = {}
     shifts: list[tuple[str, Array]] = []
-    for leg in _legs_of(path, urdf, mechanism):
+    legs = _legs_of(path, urdf, mechanism)
+    for leg in legs:
         for point in (end.point for end in leg.every_end if end.closes == "point"):
             if point is not None and (name := point.name.removesuffix("_back")) in urdf:
                 T = point.placement.origin()  # or, as _back, the platform's place in its link
@@ -147,7 +148,8 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
             chain = _of_chain(path, urdf, leg)
             placements |= chain
             shifts.append((urdf[list(chain)[-1]].child, _shift(urdf, leg)))
-    placements |= _points_fixed(path, urdf, placements, mechanism)
+            if leg.closes == "frame":  # else the platform is in another file
+                placements |= _points_fixed(tree, placements, leg, shifts[-1][0], legs)
     for last, T_link_platform in shifts:
         if np.abs(T_link_platform - np.eye(4)).max() > ROUNDING:
             placements |= _moved(path, urdf, placements, last, T_link_platform)
@@ -160,51 +162,47 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
 
 
 def _points_fixed(
-    path: Path, urdf: Edges, placements: Mapping[str, Array], mechanism: Mechanism
+    tree: Tree, placements: Mapping[str, Array], carrier: Leg, link: str, legs: Sequence[Leg]
 ) -> dict[str, Array]:
-    """Return the origins of frames that hold displaced points of a platform that a leg carries."""
-    carriers = [leg for leg in mechanism.legs if leg.closes == "frame" and _joints_of(urdf, leg)]
-    legs = [leg for leg in mechanism.legs if _has_displaced_point(urdf, leg)]
-    if not (legs and carriers):  # without a carrier, the platform is in another file
-        return {}
-    link = urdf[list(_of_chain(path, urdf, carriers[0]))[-1]].child
-    T_drawn, T_calibrated = _shift(urdf, undisplaced(carriers[0])), _shift(urdf, carriers[0])
-    poses, origins = _poses_fixed(urdf, placements, link), dict[str, Array]()
-    names = [name for name, edge in urdf.items() if edge.child in poses and not edge.moves]
-    points = np.array([poses[urdf[name].child][0][:3, 3] for name in names]).reshape(-1, 3)
-    for leg in legs:
+    """Return the origins of frames that hold displaced points of legs on a platform.
+
+    The platform is fixed to the link at the end of its carrier.
+    """
+    urdf, origins = {edge.joint.name: edge for edge in tree.edges}, dict[str, Array]()
+    moved = urdf | {
+        name: replace(urdf[name], joint=replace(urdf[name].joint, placement=placement_of(T)))
+        for name, T in placements.items()
+    }
+    calibrated = replace(tree, edges=tuple(moved.values()))
+    T_drawn = tree.pose_at_zero(link) @ _shift(urdf, undisplaced(carrier))
+    T_calibrated = calibrated.pose_at_zero(link) @ _shift(urdf, carrier)
+    fixed = [edge for edge in tree.edges if _is_fixed(tree, link, edge.child)]
+    for leg in (leg for leg in legs if _has_displaced_point(urdf, leg)):
         drawn = (T_drawn @ undisplaced(leg).point.placement.origin())[:3, 3]
-        frames = np.flatnonzero(np.abs(points - drawn).max(axis=1) <= EXACT * leg.size)
-        if not len(frames):
+        misses = [np.abs(tree.pose_at_zero(edge.child)[:3, 3] - drawn).max() for edge in fixed]
+        frames = [e for e, miss in zip(fixed, misses, strict=True) if miss <= EXACT * leg.size]
+        if not frames:
             raise MechanismError(
-                f"{path} has no frame at the point where {leg.name!r} meets the platform, which "
-                "was calibrated; give it a link of its own, fixed to the platform, or hold the "
-                f"point (--fixed '{leg.name}.point_*')"
+                f"{tree.source} has no frame at the point where {leg.name!r} meets the platform, "
+                "which was calibrated; give it a link of its own, fixed to the platform, or hold "
+                f"the point (--fixed '{leg.name}.point_*')"
             )
-        for name in map(names.__getitem__, frames):
-            pose = poses[urdf[name].child][1].copy()
+        for edge in frames:
+            pose = calibrated.pose_at_zero(edge.child)
             pose[:3, 3] = (T_calibrated @ leg.point.placement.origin())[:3, 3]
-            origins[name] = np.linalg.inv(poses[urdf[name].parent][1]) @ pose
+            origins[edge.joint.name] = np.linalg.inv(calibrated.pose_at_zero(edge.parent)) @ pose
     return origins
+
+
+def _is_fixed(tree: Tree, link: str, child: str) -> bool:
+    """Return whether another link is fixed to a link."""
+    return child != link and not any(edge.moves for edge, _ in route(tree.edges, link, child))
 
 
 def _has_displaced_point(urdf: Edges, leg: Leg) -> bool:
     """Return whether a leg's platform point was displaced, and no joint of the URDF is at it."""
     unnamed = leg.closes == "point" and leg.point.name not in urdf
     return unnamed and leg.point != undisplaced(leg).point
-
-
-def _poses_fixed(urdf: Edges, placements: Mapping[str, Array], link: str) -> dict[str, Array]:
-    """Return the poses of links fixed to a link, in it, (2, 4, 4): as drawn, and calibrated."""
-    poses, edges = {link: np.tile(np.eye(4), (2, 1, 1))}, [e for e in urdf.values() if not e.moves]
-    for edge in edges * len(edges):
-        drawn = edge.joint.placement.origin()
-        steps = np.array((drawn, placements.get(edge.joint.name, drawn)))
-        if edge.parent in poses:
-            poses.setdefault(edge.child, poses[edge.parent] @ steps)
-        elif edge.child in poses:
-            poses[edge.parent] = poses[edge.child] @ np.linalg.inv(steps)
-    return poses
 
 
 def _moved(

@@ -300,8 +300,7 @@ def _in_mode(legs: Sequence[LegClosure], matrices: Array, joints: Array) -> Arra
 
     A way from home may pass a singularity of passive joints alone, such as a gimbal lock.
     """
-    bare = each(lambda leg, rows: leg.deformed(rows), legs, joints)
-    if in_home_modes(legs, evaluate(legs, bare, matrices)).all():
+    if in_home_modes(legs, evaluate(legs, legs[0].deformed(joints), matrices)).all():
         return joints
     closed, active = close(legs, matrices).joints, legs[0].leg.active
     differences = np.abs(closed - joints)[:, active] / legs[0].leg.scales[active]

@@ -82,15 +82,14 @@ def moved_cameras(fits: Fits) -> list[Finding]:
     """Return the clearest step of a camera's pose between two rows as a finding, if there is one.
 
     An error of the machine moves everything that cameras see. The step is therefore tested with the
-    misfit of the machine as noise of its readings; also of the machine as drawn, since one that is
-    fitted bends to a large step. Residuals that stay correlated from row to row are no step, nor is
-    a displacement of points below their noise. The size is the root mean square displacement of
-    points across the line of sight, [m].
+    misfit of the machine as noise of its readings, also as drawn, since a fitted one bends to it.
+    Residuals that stay correlated from row to row are no step, nor is a displacement of points
+    below their noise. The size is the root mean square displacement across the line of sight, [m].
     """
     if not any(chance < FALSE_ALARM for chance, *_ in _camera_steps(fits)):
         return []
-    drawn = fitted(fits.calibration.with_options(fixed=("*",), priors={}, tied=()))
-    return _camera_step(fits) or _camera_step(drawn)
+    drawn = fits.calibration.with_options(fixed=("*",), priors={}, tied=())
+    return _camera_step(fits) or _camera_step(fitted(drawn))
 
 
 def _camera_step(fits: Fits) -> list[Finding]:
